@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which pixels of a depth image does each light reach? Exact shadows of moving meshes at camera rate."""
+
+from shadow_tracer.gpu.pipelines import available_pipelines
+from shadow_tracer.scene.bounds import Bounds
+from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.checks import BoundsError
+from shadow_tracer.scene.lights import DirectionalLight, PointLight, SphereLight, SpotLight
+from shadow_tracer.scene.mesh import Mesh, Scene
+from shadow_tracer.tracer import Bias, Frame, ShadowTracer, State
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Bias",
+    "Bounds",
+    "BoundsError",
+    "Camera",
+    "DirectionalLight",
+    "Frame",
+    "Mesh",
+    "PointLight",
+    "Scene",
+    "ShadowTracer",
+    "SphereLight",
+    "SpotLight",
+    "State",
+    "available_pipelines",
+]

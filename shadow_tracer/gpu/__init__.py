@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that runs in Warp kernels. Knows the scene, knows nothing of ROS."""

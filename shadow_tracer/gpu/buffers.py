@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Device buffers, allocated once from the declared bounds, and the device's copy of the scene.
+
+Live counts are host integers where the host knows them (samples, triangles) and device integers where only the device does (queue
+length, counters). Nothing here allocates per frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from shadow_tracer.gpu.exact import transform_point
+from shadow_tracer.scene.bounds import Bounds
+from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.mesh import Mesh, Scene
+
+# Columns of the counter array. Each has 64 rows that threads spread over, so that they do not queue for one address.
+COUNTERS = ("rays", "leaf_tests", "retested", "exact")
+RAYS = wp.constant(0)
+LEAF_TESTS = wp.constant(1)
+RETESTED = wp.constant(2)
+EXACT = wp.constant(3)
+_ROWS = 64
+
+
+class Change(IntEnum):
+    """What happened to the scene since the last synchronisation, worst last."""
+
+    NOTHING = 0
+    POSITIONS = 1
+    TOPOLOGY = 2
+
+
+def upload(destination: wp.array, source: np.ndarray, offset: int = 0) -> None:
+    """Copy ``source`` (C-contiguous, elements of ``destination``'s dtype) into ``destination`` from element ``offset`` on."""
+    count = len(source)
+    if count == 0:
+        return
+    if destination.device.is_cpu:
+        destination.numpy()[offset : offset + count] = source
+    else:
+        host = wp.array(source, dtype=destination.dtype, device="cpu", copy=False)
+        wp.copy(destination, host, dest_offset=offset, count=count)
+
+
+class FrameBuffers:
+    """Everything a frame needs on the device: samples, rays, states, queue, triangle records, counters."""
+
+    def __init__(self, bounds: Bounds, device: Any) -> None:
+        rays = bounds.max_rays
+        self.bounds = bounds
+        self.device = device
+        self.depth_metres = wp.empty(rays, dtype=wp.float32, device=device)
+        self.depth_millimetres = wp.empty(rays, dtype=wp.uint16, device=device)
+        self.samples = wp.empty(rays, dtype=wp.vec4d, device=device)
+        self.valid = wp.empty(rays, dtype=wp.uint8, device=device)
+        self.rays = wp.empty(rays, dtype=wp.vec4, device=device)
+        self.states = [wp.empty(rays, dtype=wp.uint8, device=device) for _ in range(bounds.max_lights)]
+        self.records = wp.empty((bounds.max_triangles, 4), dtype=wp.vec4, device=device)
+        self.queue = wp.empty(bounds.queue_capacity, dtype=wp.vec2i, device=device)
+        self.queue_counts = wp.zeros(bounds.max_lights, dtype=int, device=device)
+        self.queue_count_of = [self.queue_counts[k : k + 1] for k in range(bounds.max_lights)]
+        self.resume = wp.empty(rays, dtype=int, device=device)
+        self.counters = wp.zeros((_ROWS, len(COUNTERS)), dtype=wp.int64, device=device)
+        self.degenerate = wp.zeros(_ROWS, dtype=int, device=device)
+        self.count = 0  # samples of the current frame
+
+    def read_counters(self) -> dict[str, int]:
+        """Counter sums by name. Waits for the device."""
+        return dict(zip(COUNTERS, (int(v) for v in self.counters.numpy().sum(axis=0)), strict=True))
+
+    def nbytes(self) -> int:
+        """Bytes reserved on the device."""
+        arrays = [a for a in vars(self).values() if isinstance(a, wp.array)]
+        return sum(a.capacity for a in arrays) + sum(a.capacity for a in self.states)
+
+
+@wp.kernel(enable_backward=False)
+def transform_vertices(
+    row0: wp.vec4d,
+    row1: wp.vec4d,
+    row2: wp.vec4d,
+    first: int,
+    local: wp.array(dtype=wp.vec3d),
+    world: wp.array(dtype=wp.vec3d),
+):
+    """world = pose * local."""
+    i = first + wp.tid()
+    world[i] = transform_point(row0, row1, row2, local[i])
+
+
+@dataclass
+class _Part:
+    """Where a mesh lies in the buffers, and which of its revisions is there."""
+
+    first_vertex: int
+    first_triangle: int
+    vertex_count: int
+    triangle_count: int
+    topology: int
+    vertices: int
+    pose: int
+    low: FloatArray  # bounding box of the finite vertices in the mesh's own frame
+    high: FloatArray
+
+
+class SceneBuffers:
+    """The scene on the device: all meshes behind each other, vertices local and in the world (float64), corner indices."""
+
+    def __init__(self, bounds: Bounds, device: Any) -> None:
+        self.device = device
+        vertices = 3 * bounds.max_triangles
+        self.local = wp.empty(vertices, dtype=wp.vec3d, device=device)
+        self.vertices = wp.empty(vertices, dtype=wp.vec3d, device=device)
+        self.triangles = wp.empty((bounds.max_triangles, 3), dtype=wp.int32, device=device)
+        self.triangle_count = 0
+        self.version = 0  # grows with every change
+        self.low: FloatArray = np.zeros(3)  # bounding box in the world
+        self.high: FloatArray = np.zeros(3)
+        self._parts: dict[str, _Part] = {}
+        self._revision = -1
+
+    def sync(self, scene: Scene) -> Change:
+        """Copy what changed in ``scene`` since the last call."""
+        if scene.revision == self._revision:
+            return Change.NOTHING
+        change = Change.NOTHING
+        parts: dict[str, _Part] = {}
+        first_vertex = first_triangle = 0
+        for mesh in scene:
+            part, part_change = self._sync_part(mesh, first_vertex, first_triangle)
+            parts[mesh.name] = part
+            change = max(change, part_change)
+            first_vertex += part.vertex_count
+            first_triangle += part.triangle_count
+        if first_triangle != self.triangle_count:
+            change = Change.TOPOLOGY
+        self._parts = parts
+        self._revision = scene.revision
+        self.triangle_count = first_triangle
+        if change != Change.NOTHING:
+            self.version += 1
+            self._update_box(scene)
+        return change
+
+    def nbytes(self) -> int:
+        """Bytes reserved on the device."""
+        return int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
+
+    def _sync_part(self, mesh: Mesh, first_vertex: int, first_triangle: int) -> tuple[_Part, Change]:
+        old = self._parts.get(mesh.name)
+        change = Change.NOTHING
+        placed = (
+            old is not None
+            and old.topology == mesh.topology_revision
+            and (old.first_vertex, old.first_triangle) == (first_vertex, first_triangle)
+        )
+        if not placed:
+            change = Change.TOPOLOGY
+            upload(self.triangles, mesh.triangles + np.int32(first_vertex), first_triangle)
+        if old is not None and old.vertices == mesh.vertices_revision:
+            low, high = old.low, old.high
+        else:
+            low, high = _finite_box(mesh.vertices)
+        if not placed or old is None or old.vertices != mesh.vertices_revision:
+            change = max(change, Change.POSITIONS)
+            upload(self.local, mesh.vertices, first_vertex)
+        if change != Change.NOTHING or old is None or old.pose != mesh.pose_revision:
+            change = max(change, Change.POSITIONS)
+            rows = [wp.vec4d(*row) for row in mesh.pose[:3]]
+            wp.launch(
+                transform_vertices,
+                dim=len(mesh.vertices),
+                inputs=[*rows, first_vertex, self.local, self.vertices],
+                device=self.device,
+            )
+        part = _Part(
+            first_vertex,
+            first_triangle,
+            len(mesh.vertices),
+            len(mesh.triangles),
+            mesh.topology_revision,
+            mesh.vertices_revision,
+            mesh.pose_revision,
+            low,
+            high,
+        )
+        return part, change
+
+    def _update_box(self, scene: Scene) -> None:
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for mesh in scene:
+            part = self._parts[mesh.name]
+            if part.triangle_count == 0 or not np.all(part.low <= part.high):
+                continue
+            rotation, position = mesh.pose[:3, :3], mesh.pose[:3, 3]
+            middle = rotation @ (0.5 * part.low + 0.5 * part.high) + position
+            half = np.abs(rotation) @ (0.5 * part.high - 0.5 * part.low)
+            # A few roundings either way: the box only has to hold, not to be tight.
+            slack = 1e-14 * (np.abs(middle) + np.abs(half))
+            low, high = np.minimum(low, middle - half - slack), np.maximum(high, middle + half + slack)
+        if np.all(low <= high):
+            self.low, self.high = low, high
+        else:
+            self.low, self.high = np.zeros(3), np.zeros(3)
+
+
+def _finite_box(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if len(vertices) == 0:
+        return np.full(3, np.inf), np.full(3, -np.inf)
+    # A column at a time: numpy reduces a long strided column several times faster than an axis of length three.
+    low = np.array([vertices[:, k].min() for k in range(3)])
+    high = np.array([vertices[:, k].max() for k in range(3)])
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        finite = vertices[np.isfinite(vertices).all(axis=1)]
+        return _finite_box(finite)
+    return low, high

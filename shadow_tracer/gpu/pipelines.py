@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one registry of pipelines: name, variants, and where the implementation lives. Importing it does not import Warp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from shadow_tracer.gpu.buffers import Change
+    from shadow_tracer.gpu.light_frame import LightFrame
+    from shadow_tracer.gpu.triangles import Context
+
+
+class Pipeline(Protocol):
+    """One way to find shadows. A pipeline shows triangles to the shadow test; it never decides by itself."""
+
+    def update(self, change: Change) -> None:
+        """Take note of the scene's new state in the buffers; called once per frame before any light."""
+
+    def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
+        """Look for an occluder of every ray of light number ``light``; see ``brute_force.py`` for the meaning of ``attempt``."""
+
+    def learn(self, counters: dict[str, int]) -> None:
+        """Told the counters of the frame that just ended; a pipeline may adapt how, never what, it answers."""
+
+    def nbytes(self) -> int:
+        """Bytes reserved on the device beyond the shared buffers."""
+
+
+@dataclass(frozen=True)
+class PipelineEntry:
+    """A registered pipeline: its variants (the first is the default), its class, and one line of explanation."""
+
+    variants: tuple[str, ...]
+    module: str
+    factory: str
+    summary: str
+
+
+REGISTRY: dict[str, PipelineEntry] = {
+    "mesh_bvh": PipelineEntry(
+        ("refit", "rebuild"),
+        "shadow_tracer.gpu.mesh_bvh",
+        "MeshBvh",
+        "bounding volume hierarchy over the triangles, refitted while only positions change",
+    ),
+    "brute_force": PipelineEntry(
+        ("filtered", "float64"),
+        "shadow_tracer.gpu.brute_force",
+        "BruteForce",
+        "every sample against every triangle: the oracle the others are compared with",
+    ),
+}
+
+
+def available_pipelines() -> dict[str, tuple[str, ...]]:
+    """Names of all pipelines and their variants, the default variant first."""
+    return {name: entry.variants for name, entry in REGISTRY.items()}
+
+
+def resolve(pipeline: str, variant: str | None) -> tuple[str, str]:
+    """Check names and fill in the default variant.
+
+    Raises:
+        ValueError: an unknown name; the message lists the known ones.
+    """
+    if pipeline not in REGISTRY:
+        raise ValueError(f"pipeline: expected one of {', '.join(REGISTRY)}, got {pipeline!r}")
+    variants = REGISTRY[pipeline].variants
+    if variant is None:
+        return pipeline, variants[0]
+    if variant not in variants:
+        raise ValueError(f"variant: expected one of {', '.join(variants)} for pipeline {pipeline}, got {variant!r}")
+    return pipeline, variant
+
+
+def make_pipeline(name: str, variant: str, context: Context) -> Pipeline:
+    """Make the pipeline ``name`` over the given context. Imports Warp."""
+    entry = REGISTRY[name]
+    factory: Any = getattr(import_module(entry.module), entry.factory)
+    pipeline: Pipeline = factory(variant, context)
+    return pipeline

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""THE sample/triangle test. Every pipeline calls it, nothing else decides.
+
+Sample p, light l, triangle a, b, c. With D the side of the triangle's plane the light is on, p is in shadow iff
+
+- it lies strictly on the other side of the plane than the light, also after being moved by its bias towards the light, and
+- it lies on the inner side of, or exactly on, each of the three planes through the light and an edge.
+
+No clipping, no projection and no intersection point is needed, wherever the corners are, beside or behind the light included.
+
+Two tiers. ``filter_pair`` is float32 on the records of ``light_frame.prepare_triangles``: 12 multiply-adds, 64 bytes a triangle,
+with an error bound; it answers no, yes or *maybe*. Pairs it cannot decide go to a bounded queue, and ``resolve_queue`` decides them
+from the scene's float64 coordinates with exact signs (``exact.py``). A yes or no of the filter is proven to be what the exact
+decision would say, so a pipeline is right as soon as it shows every triangle that could matter to this test, in any order.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.buffers import EXACT, RETESTED
+from shadow_tracer.gpu.exact import DETERMINANT
+from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
+
+NO = wp.constant(0)
+YES = wp.constant(1)
+MAYBE = wp.constant(2)
+
+# Floor of the magnitude that scales the filter's bound: keeps float64 frame errors (below 2^-48) covered next to the light.
+_MAGNITUDE_FLOOR = 2.0**-20
+
+
+@wp.func_native(
+    DETERMINANT
+    + r"""
+    // Corners in canonical order: whatever is rounded below is the same for every order and winding.
+    wp::vec3d v[3] = { a, b, c };
+    auto before = [](const wp::vec3d& x, const wp::vec3d& y) {
+        return x[0] != y[0] ? x[0] < y[0] : x[1] != y[1] ? x[1] < y[1] : x[2] < y[2];
+    };
+    auto order = [&](int i, int j) {
+        if (before(v[j], v[i])) {
+            wp::vec3d t = v[i];
+            v[i] = v[j];
+            v[j] = t;
+        }
+    };
+    order(0, 1);
+    order(1, 2);
+    order(0, 1);
+
+    const wp::vec3d p(sample[0], sample[1], sample[2]);
+    const double bias = sample[3];
+    double d_value, a_value, unused;
+    const int d = determinant(light, v[1], v[2], v[0], d_value);
+    if (d == 0)
+        return exact_used << 1;
+    const wp::vec4d start(p[0], p[1], p[2], 1.0);
+    const int s = determinant(start, v[1], v[2], v[0], a_value);
+    if (s * d >= 0)
+        return exact_used << 1;
+    for (int k = 0; k < 3; ++k)
+        if (determinant(light, p, v[(k + 1) % 3], v[k], unused) * d > 0)
+            return exact_used << 1;
+    if (bias > 0.0) {
+        // The biased start p + bias * (l - p) / |l - p| is still behind the plane iff A |l - p| > bias (D + A), with A and D
+        // the distances of p and l from the plane; for a light at infinity iff A |s| > bias D.
+        double x = light[0], y = light[1], z = light[2];
+        double behind = absolute(a_value), front = absolute(d_value);
+        if (light[3] != 0.0) {
+            x = sub(x, p[0]); y = sub(y, p[1]); z = sub(z, p[2]);
+            front = add(front, behind);
+        }
+        if (!(mul(behind, norm(x, y, z)) > mul(bias, front)))
+            return exact_used << 1;
+    }
+    return (exact_used << 1) | 1;
+    """
+)
+def decide(sample: wp.vec4d, light: wp.vec4d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> int:
+    """The decision: bit 0 is set iff the triangle keeps the light from the sample (x, y, z, bias); the other bits count the
+    determinants that needed expansion arithmetic. All of it is in scene coordinates as given, float64."""
+    ...
+
+
+@wp.func
+def is_ray(state: wp.uint8, ray: wp.vec4) -> bool:
+    """Whether there is anything left to find out about a sample."""
+    return (state == wp.uint8(LIT) or state == wp.uint8(PENDING)) and ray[0] == ray[0]
+
+
+@wp.func
+def ray_magnitude(ray: wp.vec4) -> float:
+    """What the bounds of ``filter_pair`` scale with."""
+    return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[2]) + wp.abs(ray[3]) + _MAGNITUDE_FLOOR
+
+
+@wp.func
+def filter_pair(ray: wp.vec4, magnitude: float, ab: wp.vec4, bc: wp.vec4, ca: wp.vec4, plane: wp.vec4) -> int:
+    """NO, YES or MAYBE from the float32 record of a triangle. Comparisons with NaN fail, and what fails both ways is MAYBE."""
+    edge = ab[3] * magnitude
+    depth = bc[3] * magnitude + ca[3]
+    e0 = ab[0] * ray[0] + ab[1] * ray[1] + ab[2] * ray[2]
+    e1 = bc[0] * ray[0] + bc[1] * ray[1] + bc[2] * ray[2]
+    e2 = ca[0] * ray[0] + ca[1] * ray[1] + ca[2] * ray[2]
+    g = plane[0] * ray[0] + plane[1] * ray[1] + plane[2] * ray[3] - plane[3]
+    if e0 < -edge or e1 < -edge or e2 < -edge or g < -depth:
+        return NO
+    if e0 > edge and e1 > edge and e2 > edge and g > depth:
+        return YES
+    return MAYBE
+
+
+@wp.func
+def enqueue(sample: int, triangle: int, queue: wp.array(dtype=wp.vec2i), queue_count: wp.array(dtype=int)) -> bool:
+    """Put a pair on the queue; False when it is full. ``queue_count[0]`` then runs past the capacity: the overflow is seen."""
+    slot = wp.atomic_add(queue_count, 0, 1)
+    if slot >= queue.shape[0]:
+        return False
+    queue[slot] = wp.vec2i(sample, triangle)
+    return True
+
+
+@wp.kernel(enable_backward=False)
+def resolve_queue(
+    light: wp.vec4d,
+    stride: int,
+    queue: wp.array(dtype=wp.vec2i),
+    queue_count: wp.array(dtype=int),
+    samples: wp.array(dtype=wp.vec4d),
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array2d(dtype=wp.int32),
+    states: wp.array(dtype=wp.uint8),
+    counters: wp.array2d(dtype=wp.int64),
+):
+    """Decide every queued pair. Shadowing is idempotent, so pairs of one sample may be decided in any order."""
+    thread = wp.tid()
+    count = wp.min(queue_count[0], queue.shape[0])
+    decided = int(0)
+    exact = int(0)
+    for k in range(thread, count, stride):
+        pair = queue[k]
+        if states[pair[0]] != wp.uint8(SHADOWED):
+            t = pair[1]
+            a = vertices[triangles[t, 0]]
+            b = vertices[triangles[t, 1]]
+            c = vertices[triangles[t, 2]]
+            answer = decide(samples[pair[0]], light, a, b, c)
+            decided += 1
+            exact += answer >> 1
+            if (answer & 1) != 0:
+                states[pair[0]] = wp.uint8(SHADOWED)
+    if decided > 0:
+        wp.atomic_add(counters, thread & 63, RETESTED, wp.int64(decided))
+    if exact > 0:
+        wp.atomic_add(counters, thread & 63, EXACT, wp.int64(exact))

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Declared capacities. They are known before anything is allocated, so they live with the scene and not with the buffers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Capacities of every device buffer, fixed when a tracer is made. All are positive integers.
+
+    Args:
+        max_triangles: triangles of all meshes together; vertices are bounded by three times as many.
+        max_rays: pixels of a depth image; :meth:`ShadowTracer.occluded` works in pieces of this size.
+        max_lights: lights of one frame.
+        queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision. A smaller queue costs
+            further passes (counted in ``overflow_passes``), never an answer.
+        grid_entries: (tile, triangle) entries of pipelines that sort triangles into tiles; too few cost passes, never an answer.
+
+    Raises:
+        ValueError: a capacity is not a positive integer below 2^31; the message names it.
+    """
+
+    max_triangles: int = 1_000_000
+    max_rays: int = 1_310_720
+    max_lights: int = 16
+    queue_capacity: int = 1_048_576
+    grid_entries: int = 4_194_304
+
+    def __post_init__(self) -> None:
+        limits = {"max_triangles": 2**31 // 9, "max_rays": 2**31 // 4, "max_lights": 64}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            limit = limits.get(item.name, 2**31 - 1)
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= limit:
+                raise ValueError(f"bounds.{item.name}: expected an integer from 1 to {limit}, got {value!r}")
+            object.__setattr__(self, item.name, int(value))

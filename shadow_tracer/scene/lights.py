@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lights, and what each means geometrically.
+
+Every light is, for the shadow test, one homogeneous point ``(x, y, z, w)``: a position with w = 1, or the direction *to* the
+light with w = 0 when it is infinitely far away. ``direction`` is always the way light travels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from shadow_tracer.scene.checks import FloatArray, direction3, name_of, vector3
+
+
+def _unit(direction: FloatArray) -> FloatArray:
+    return direction / np.linalg.norm(direction)
+
+
+def _range(value: Any) -> float:
+    try:
+        distance = float(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"range: expected a positive distance in metres or infinity, got {value!r}") from error
+    if not distance > 0.0:
+        raise ValueError(f"range: expected a positive distance in metres or infinity, got {value!r}")
+    return distance
+
+
+def _freeze(light: Any, field: str, vector: FloatArray) -> None:
+    vector.setflags(write=False)
+    object.__setattr__(light, field, vector)
+
+
+@dataclass(frozen=True, eq=False)
+class PointLight:
+    """A point that shines in all directions.
+
+    Args:
+        name: how the light is called in results; a non-empty string.
+        position: (3,) position in the world [m].
+        range: samples farther than this are OUTSIDE [m]; infinity by default.
+    """
+
+    name: str
+    position: FloatArray
+    range: float = math.inf
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "name")
+        _freeze(self, "position", vector3(self.position, "position"))
+        object.__setattr__(self, "range", _range(self.range))
+
+    @property
+    def homogeneous(self) -> FloatArray:
+        """(4,) homogeneous position: (x, y, z, 1)."""
+        return np.append(self.position, 1.0)
+
+    @property
+    def cone(self) -> tuple[FloatArray, float]:
+        """Axis and cosine of the half angle of the lit cone; a point light has none (cosine -2 admits everything)."""
+        return np.array([0.0, 0.0, 1.0]), -2.0
+
+
+@dataclass(frozen=True, eq=False)
+class SpotLight:
+    """A point that shines into a cone.
+
+    Args:
+        name: how the light is called in results; a non-empty string.
+        position: (3,) apex of the cone [m].
+        direction: (3,) axis of the cone, the way light travels; any length but zero.
+        outer_angle: half angle of the cone [rad], 0 < outer_angle <= pi. Samples outside it are OUTSIDE.
+        range: samples farther than this are OUTSIDE [m]; infinity by default.
+    """
+
+    name: str
+    position: FloatArray
+    direction: FloatArray
+    outer_angle: float
+    range: float = math.inf
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "name")
+        _freeze(self, "position", vector3(self.position, "position"))
+        _freeze(self, "direction", direction3(self.direction, "direction"))
+        try:
+            angle = float(self.outer_angle)
+        except (TypeError, ValueError):
+            angle = math.nan
+        if not 0.0 < angle <= math.pi:
+            raise ValueError(
+                f"outer_angle: expected a half angle in radians with 0 < angle <= pi, got {self.outer_angle!r}"
+            )
+        object.__setattr__(self, "outer_angle", angle)
+        object.__setattr__(self, "range", _range(self.range))
+
+    @property
+    def homogeneous(self) -> FloatArray:
+        """(4,) homogeneous position: (x, y, z, 1)."""
+        return np.append(self.position, 1.0)
+
+    @property
+    def cone(self) -> tuple[FloatArray, float]:
+        """Unit axis and cosine of the half angle of the lit cone."""
+        # At pi the cone is all of space; rounding of the cosine must not cut out the direction straight behind.
+        cosine = -2.0 if self.outer_angle >= math.pi else math.cos(self.outer_angle)
+        return _unit(self.direction), cosine
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionalLight:
+    """A light infinitely far away, such as the sun.
+
+    Args:
+        name: how the light is called in results; a non-empty string.
+        direction: (3,) the way light travels; any length but zero.
+    """
+
+    name: str
+    direction: FloatArray
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "name")
+        _freeze(self, "direction", direction3(self.direction, "direction"))
+
+    @property
+    def range(self) -> float:
+        """A directional light reaches everywhere: infinity."""
+        return math.inf
+
+    @property
+    def homogeneous(self) -> FloatArray:
+        """(4,) point at infinity: (-direction, 0) with unit direction."""
+        return np.append(-_unit(self.direction), 0.0)
+
+    @property
+    def cone(self) -> tuple[FloatArray, float]:
+        """Axis and cosine of the half angle of the lit cone; a directional light has none."""
+        return np.array([0.0, 0.0, 1.0]), -2.0
+
+
+class SphereLight:
+    """A spherical light with soft shadows. Not available yet: making one raises NotImplementedError."""
+
+    def __init__(self, name: str, position: Any, radius: float) -> None:
+        raise NotImplementedError(
+            f"SphereLight {name!r}: soft shadows are not available yet; use PointLight for the hard shadow of its centre"
+        )
+
+
+Light = PointLight | SpotLight | DirectionalLight

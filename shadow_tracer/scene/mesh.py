@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mesh and Scene: named triangle meshes that move and deform, checked on entry, with revision numbers.
+
+A revision number changes exactly when the thing it counts changes, so whoever mirrors the scene (the device buffers) copies only
+what is new. Every check runs before anything is stored: after an error the scene is what it was.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shadow_tracer.scene.bounds import Bounds
+from shadow_tracer.scene.checks import BoundsError, FloatArray, name_of, rigid_pose
+
+IntArray = npt.NDArray[np.int32]
+
+_serial = itertools.count(1)
+
+
+def _vertices(value: Any, nonfinite: str) -> FloatArray:
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"vertices: expected an array of shape (V, 3), got {type(value).__name__}") from error
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"vertices: expected shape (V, 3), got {array.shape}")
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"vertices: expected real numbers, got dtype {array.dtype}")
+    if nonfinite not in ("refuse", "skip"):
+        raise ValueError(f"nonfinite: expected 'refuse' or 'skip', got {nonfinite!r}")
+    vertices = np.array(array, dtype=np.float64, order="C")
+    if nonfinite == "refuse" and not np.isfinite(vertices).all():
+        bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+        raise ValueError(
+            f"vertices: expected finite coordinates, got {vertices[bad].tolist()} at vertex {bad} "
+            "(nonfinite='skip' keeps such a mesh and lets the triangles at such vertices cast nothing)"
+        )
+    vertices.setflags(write=False)
+    return vertices
+
+
+def _triangles(value: Any, vertex_count: int) -> IntArray:
+    array = np.asarray(value)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"triangles: expected shape (T, 3), got {array.shape}")
+    if array.size and array.dtype.kind not in "iu":
+        raise ValueError(f"triangles: expected integer indices, got dtype {array.dtype}")
+    if array.size:
+        low, high = array.min(), array.max()
+        if low < 0 or high >= vertex_count:
+            outside = (array < 0) | (array >= vertex_count)
+            row, column = (int(k) for k in np.argwhere(outside)[0])
+            raise ValueError(
+                f"triangles: expected indices from 0 to {vertex_count - 1}, got {int(array[row, column])} "
+                f"at triangle {row}, corner {column}"
+            )
+    triangles = np.array(array, dtype=np.int32, order="C")
+    triangles.setflags(write=False)
+    return triangles
+
+
+class Mesh:
+    """A named triangle mesh with a rigid pose. Made and changed by :class:`Scene`; the arrays are read-only.
+
+    Attributes:
+        name: name within its scene.
+        vertices: (V, 3) float64 corner positions in the mesh's own frame [m].
+        triangles: (T, 3) int32 zero-based vertex indices.
+        pose: (4, 4) float64 rigid transform from the mesh's frame to the world.
+        topology_revision, vertices_revision, pose_revision: change when the triangles, the vertices, the pose change.
+    """
+
+    def __init__(self, name: str, vertices: FloatArray, triangles: IntArray, pose: FloatArray) -> None:
+        self.name = name
+        self.vertices = vertices
+        self.triangles = triangles
+        self.pose = pose
+        self.topology_revision = self.vertices_revision = self.pose_revision = next(_serial)
+        self._degenerate: tuple[int, int] | None = None
+
+    @property
+    def degenerate_count(self) -> int:
+        """Triangles that cast nothing: zero area (in float64) or a corner that is not finite. Counted when first asked."""
+        if self._degenerate is None or self._degenerate[0] != self.vertices_revision:
+            a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
+            with np.errstate(invalid="ignore", over="ignore"):
+                normal = np.cross(b - a, c - a)
+                count = int((~(np.abs(normal).max(axis=1, initial=0.0) > 0.0)).sum())
+            self._degenerate = (self.vertices_revision, count)
+        return self._degenerate[1]
+
+    def world_vertices(self) -> FloatArray:
+        """Vertices in the world, shape (V, 3) [m]; the same operations in the same order as on the device."""
+        x, y, z = self.vertices.T
+        r = self.pose
+        return np.stack([((r[i, 0] * x + r[i, 1] * y) + r[i, 2] * z) + r[i, 3] for i in range(3)], axis=-1)
+
+
+class Scene:
+    """Named meshes. Names are unique; the order of insertion is kept and does not matter to any result.
+
+    Args:
+        bounds: capacities; a mesh that would exceed them is refused whole.
+    """
+
+    def __init__(self, bounds: Bounds | None = None) -> None:
+        self.bounds = bounds or Bounds()
+        self._meshes: dict[str, Mesh] = {}
+        self._revision = next(_serial)
+
+    @property
+    def revision(self) -> int:
+        """Grows with every change of any mesh; never the same for two scenes."""
+        return self._revision
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all meshes."""
+        return tuple(self._meshes)
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles of all meshes, degenerate ones included."""
+        return sum(len(mesh.triangles) for mesh in self._meshes.values())
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices of all meshes."""
+        return sum(len(mesh.vertices) for mesh in self._meshes.values())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._meshes
+
+    def __len__(self) -> int:
+        return len(self._meshes)
+
+    def __iter__(self) -> Iterator[Mesh]:
+        return iter(self._meshes.values())
+
+    def __getitem__(self, name: str) -> Mesh:
+        try:
+            return self._meshes[name]
+        except KeyError:
+            raise ValueError(f"name: expected one of {list(self._meshes)}, got {name!r}") from None
+
+    def put(self, name: str, vertices: Any, triangles: Any, pose: Any = None, nonfinite: str = "refuse") -> Mesh:
+        """Add a mesh or replace the one of that name.
+
+        Replacing with equal triangles is a deformation: what depends only on topology is kept.
+
+        Args:
+            name: non-empty string.
+            vertices: (V, 3) real numbers [m].
+            triangles: (T, 3) integers from 0 to V - 1; T may be 0.
+            pose: (4, 4) rigid transform to the world; identity if None.
+            nonfinite: "refuse" vertices with NaN or infinity, or "skip": the triangles at them cast nothing.
+
+        Raises:
+            ValueError: an argument is malformed; the message names it and the first fault's position.
+            BoundsError: the scene would exceed ``bounds.max_triangles``.
+        """
+        name_of(name, "name")
+        new_vertices = _vertices(vertices, nonfinite)
+        new_triangles = _triangles(triangles, len(new_vertices))
+        new_pose = rigid_pose(np.eye(4) if pose is None else pose, "pose")
+        new_pose.setflags(write=False)
+        self._check_capacity(name, len(new_vertices), len(new_triangles))
+        old = self._meshes.get(name)
+        if old is not None and np.array_equal(old.triangles, new_triangles) and len(old.vertices) == len(new_vertices):
+            old.vertices = new_vertices
+            old.vertices_revision = next(_serial)
+            if not np.array_equal(old.pose, new_pose):
+                old.pose = new_pose
+                old.pose_revision = next(_serial)
+        else:
+            self._meshes[name] = Mesh(name, new_vertices, new_triangles, new_pose)
+        self._revision = next(_serial)
+        return self._meshes[name]
+
+    def move(self, name: str, pose: Any) -> None:
+        """Give a mesh a new rigid pose, (4, 4). Vertices are not copied again.
+
+        Raises:
+            ValueError: no mesh of that name, or the pose is not rigid.
+        """
+        mesh = self[name]
+        new_pose = rigid_pose(pose, "pose")
+        if np.array_equal(mesh.pose, new_pose):
+            return
+        new_pose.setflags(write=False)
+        mesh.pose = new_pose
+        mesh.pose_revision = next(_serial)
+        self._revision = next(_serial)
+
+    def deform(self, name: str, vertices: Any, nonfinite: str = "refuse") -> None:
+        """Give a mesh new vertex positions, (V, 3) [m], with the triangles it has.
+
+        Raises:
+            ValueError: no mesh of that name, another number of vertices, or (unless "skip") a vertex that is not finite.
+        """
+        mesh = self[name]
+        new_vertices = _vertices(vertices, nonfinite)
+        if len(new_vertices) != len(mesh.vertices):
+            raise ValueError(
+                f"vertices: expected {len(mesh.vertices)} as mesh {name!r} has, got {len(new_vertices)}; use put() to replace it"
+            )
+        mesh.vertices = new_vertices
+        mesh.vertices_revision = next(_serial)
+        self._revision = next(_serial)
+
+    def remove(self, name: str) -> None:
+        """Remove a mesh. Raises ValueError if there is none of that name."""
+        mesh = self[name]
+        del self._meshes[mesh.name]
+        self._revision = next(_serial)
+
+    def clear(self) -> None:
+        """Remove every mesh."""
+        if self._meshes:
+            self._meshes.clear()
+            self._revision = next(_serial)
+
+    def _check_capacity(self, name: str, vertex_count: int, triangle_count: int) -> None:
+        others = [mesh for mesh in self._meshes.values() if mesh.name != name]
+        triangles = triangle_count + sum(len(mesh.triangles) for mesh in others)
+        vertices = vertex_count + sum(len(mesh.vertices) for mesh in others)
+        limit = self.bounds.max_triangles
+        if triangles > limit:
+            raise BoundsError(
+                f"bounds.max_triangles: mesh {name!r} has {triangle_count} triangles and the scene would have {triangles}, "
+                f"but the bound is {limit}"
+            )
+        if vertices > 3 * limit:
+            raise BoundsError(
+                f"bounds.max_triangles: mesh {name!r} has {vertex_count} vertices and the scene would have {vertices}, "
+                f"but at most 3 * {limit} fit"
+            )
