@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ShadowTracer: which pixels of a depth image does each light reach?
 
-The public library. It checks what comes in, hands it to the device side (``gpu``), and wraps what comes out. Warp is imported when a
-tracer is made, not before.
+The public library. It checks what comes in, hands it to the device side (``gpu``), and wraps what comes out. Warp is
+imported when a tracer is made, not before.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class State(IntEnum):
 class Bias:
     """How far a ray starts from its sample, towards the light: ``constant + quadratic * z**2`` with z the depth [m].
 
-    Measured depth lies before and behind the true surface, so without a bias surfaces shadow themselves; stereo and structured
-    light noise grows with z squared.
+    Measured depth lies before and behind the true surface, so without a bias surfaces shadow themselves; stereo and
+    structured light noise grows with z squared.
 
     Args:
         constant: metres, at least 0.
@@ -109,7 +109,8 @@ class Frame:
         return table[self.state(name)]
 
     def bits(self) -> npt.NDArray[np.uint16]:
-        """(H, W) uint16 image in which bit i is set where light i (in the order of ``names``) reaches; up to 16 lights."""
+        """(H, W) uint16 image in which bit i is set where light i (in the order of ``names``) reaches; up to 16
+        lights."""
         if len(self.names) > 16:
             raise ValueError(f"bits: expected at most 16 lights, got {len(self.names)}")
         bits = np.zeros(self._states.shape[1:], dtype=np.uint16)
@@ -142,12 +143,12 @@ class ShadowTracer:
         self._names = resolve(pipeline, variant)
         self._bounds = bounds or Bounds()
         try:
-            from shadow_tracer.gpu import engine
+            from shadow_tracer.gpu import devices, engine
         except ModuleNotFoundError as error:
             if error.name != "warp":
                 raise
             raise ImportError("shadow_tracer needs NVIDIA Warp to trace: pip install 'warp-lang>=1.19'") from error
-        self._engine = engine.Engine(engine.pick_device(device), self._bounds, *self._names)
+        self._engine = engine.Engine(devices.pick_device(device), self._bounds, *self._names)
         self.scene = Scene(self._bounds)
         """The world; change it through its methods between frames."""
 
@@ -216,7 +217,9 @@ class ShadowTracer:
         """
         positions = np.asarray(points)
         if positions.ndim == 0 or positions.shape[-1] != 3 or positions.dtype.kind not in "fiu":
-            raise ValueError(f"points: expected real numbers of shape (..., 3), got shape {positions.shape} of {positions.dtype}")
+            raise ValueError(
+                f"points: expected real numbers of shape (..., 3), got shape {positions.shape} of {positions.dtype}"
+            )
         flat = np.ascontiguousarray(positions, dtype=np.float64).reshape(-1, 3)
         finite_rows = np.isfinite(flat).all(axis=1)
         if not finite_rows.all():
@@ -231,7 +234,9 @@ class ShadowTracer:
         hidden = np.empty(len(flat), dtype=np.bool_)
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
-            hidden[piece] = self._engine.trace_points(self.scene, flat[piece], light, constant).states[0] == State.SHADOWED
+            hidden[piece] = (
+                self._engine.trace_points(self.scene, flat[piece], light, constant).states[0] == State.SHADOWED
+            )
         return hidden.reshape(positions.shape[:-1])
 
     def trace(self, depth: Any, camera: Camera, lights: Sequence[Light], bias: Bias | float | None = None) -> Frame:
@@ -259,7 +264,9 @@ class ShadowTracer:
         if not isinstance(camera, Camera):
             raise ValueError(f"camera: expected a Camera, got {type(camera).__name__}")
         if image.shape != (camera.height, camera.width):
-            raise ValueError(f"depth: expected shape {(camera.height, camera.width)} as the camera has, got {image.shape}")
+            raise ValueError(
+                f"depth: expected shape {(camera.height, camera.width)} as the camera has, got {image.shape}"
+            )
         if image.size > self._bounds.max_rays:
             raise BoundsError(
                 f"bounds.max_rays: the image has {camera.width} x {camera.height} = {image.size} pixels, "

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every sample against every triangle: the in-house oracle.
 
-Variant ``filtered`` uses the float32 filter and the queue as every pipeline does; ``float64`` asks the exact decision for every single
-pair and uses neither. Both must give the same bits, which tests the filter's bound on any scene at hand.
+Variant ``filtered`` uses the float32 filter and the queue as every pipeline does; ``float64`` asks the exact decision
+for every single pair and uses neither. Both must give the same bits, which tests the filter's bound on any scene at
+hand.
 
 Cost: samples x triangles pairs, 12 multiply-adds each, 64 bytes of record per triangle read by all samples.
 
-``attempt`` of ``trace``: 0 looks at every ray; 1 looks again, from the start, at rays that found the queue full (PENDING); 2 goes on
-with them where the attempt before stopped (``resume`` counts the pairs of a sample that have been queued).
+``attempt`` of ``trace``: 0 looks at every ray; 1 looks again, from the start, at rays that found the queue full
+(PENDING); 2 goes on with them where the attempt before stopped (``resume`` counts the pairs of a sample that have been
+queued).
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ def test_all_filtered(
     result = int(LIT)
     for t in range(triangle_count):
         tests += 1
-        answer = filter_pair(ray, magnitude, records[t, 0], records[t, 1], records[t, 2], records[t, 3])
+        answer = filter_pair(ray, magnitude, records, t)
         if answer == YES:
             result = SHADOWED
             break

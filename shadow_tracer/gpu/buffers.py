@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Device buffers, allocated once from the declared bounds, and the device's copy of the scene.
 
-Live counts are host integers where the host knows them (samples, triangles) and device integers where only the device does (queue
-length, counters). Nothing here allocates per frame.
+Live counts are host integers where the host knows them (samples, triangles) and device integers where only the device
+does (queue length, counters). Nothing here allocates per frame.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class Change(IntEnum):
 
 
 def upload(destination: wp.array, source: np.ndarray, offset: int = 0) -> None:
-    """Copy ``source`` (C-contiguous, elements of ``destination``'s dtype) into ``destination`` from element ``offset`` on."""
+    """Copy ``source`` (C-contiguous, elements of ``destination``'s dtype) into ``destination`` from element ``offset``
+    on."""
     count = len(source)
     if count == 0:
         return
@@ -110,7 +111,8 @@ class _Part:
 
 
 class SceneBuffers:
-    """The scene on the device: all meshes behind each other, vertices local and in the world (float64), corner indices."""
+    """The scene on the device: all meshes behind each other, vertices local and in the world (float64), corner
+    indices."""
 
     def __init__(self, bounds: Bounds, device: Any) -> None:
         self.device = device

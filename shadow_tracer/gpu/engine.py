@@ -36,21 +36,6 @@ class Traced:
     counters: dict[str, int]
 
 
-def pick_device(name: str | None) -> Any:
-    """The Warp device of that name; None is the first CUDA device, or the CPU if there is none.
-
-    Raises:
-        ValueError: no such device; the message lists those there are.
-    """
-    wp.init()
-    known = [str(device) for device in wp.get_devices()]
-    if name is None:
-        name = "cuda:0" if "cuda:0" in known else "cpu"
-    if name not in known:
-        raise ValueError(f"device: expected one of {', '.join(known)} or None for the best, got {name!r}")
-    return wp.get_device(name)
-
-
 class Engine:
     """Device side of a tracer."""
 
@@ -76,7 +61,8 @@ class Engine:
     def trace_depth(
         self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: tuple[float, float]
     ) -> Traced:
-        """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C order."""
+        """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
+        order."""
         self.stages.reset()
         frame = self._frame
         metres = depth.dtype == np.float32
@@ -90,7 +76,13 @@ class Engine:
             wp.launch(
                 unproject.unproject,
                 dim=frame.count,
-                inputs=[_pinhole(camera, bias), wp.float64(1.0 if metres else 1000.0), target, frame.samples, frame.valid],
+                inputs=[
+                    _pinhole(camera, bias),
+                    wp.float64(1.0 if metres else 1000.0),
+                    target,
+                    frame.samples,
+                    frame.valid,
+                ],
                 device=self.device,
             )
         self._pipeline.update(change)
@@ -165,7 +157,8 @@ class Engine:
             )
 
     def _finish_overflow(self, light_frames: Sequence[light_frame.LightFrame]) -> int:
-        """Further passes for lights whose queue overflowed. Only here the host waits for the device before the result."""
+        """Further passes for lights whose queue overflowed. Only here the host waits for the device before the
+        result."""
         frame, passes = self._frame, 0
         counts = frame.queue_counts.numpy()[: len(light_frames)].copy()
         for index in np.flatnonzero(counts > self.bounds.queue_capacity):

@@ -1,29 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact signs of 3x3 determinants of coordinate differences: the arithmetic under the shadow test.
 
-Every question the shadow test asks is the sign of ``det[q - w*o, r - o, s - o]`` for points given in float64 (w is 0 for a point at
-infinity, else 1). It is answered in two tiers:
+Every question the shadow test asks is the sign of ``det[q - w*o, r - o, s - o]`` for points given in float64 (w is 0
+for a point at infinity, else 1). It is answered in two tiers:
 
 1. plain float64 with a forward error bound; nearly all calls end here;
 2. expansion arithmetic (unevaluated sums of float64): the differences, the products and their sum are kept without any
    rounding, so the sign is that of the real number.
 
-So the answer is a mathematical function of the inputs: it does not depend on the order of the corners, on the winding, on fused
-multiply-add, on the device or the compiler. The tiers and the primitives (two-sum, two-product, grow-expansion, compress) follow
-Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates", 1997; ``docs/exactness.md`` has the
-error bound of tier 1 and the range of validity (no overflow or underflow: magnitudes of coordinates and of their non-zero
-differences between 1e-60 and 1e60).
+So the answer is a mathematical function of the inputs: it does not depend on the order of the corners, on the winding,
+on fused multiply-add, on the device or the compiler. The tiers and the primitives (two-sum, two-product,
+grow-expansion, compress) follow Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric
+Predicates", 1997; ``docs/exactness.md`` has the error bound of tier 1 and the range of validity (no overflow or
+underflow: magnitudes of coordinates and of their non-zero differences between 1e-60 and 1e60).
 
-The code is C++ inside ``wp.func_native`` because contraction of ``a*b + c`` must be off here, whatever the module's options are:
-Clang is told by a pragma, CUDA by the ``_rn`` intrinsics, which are never contracted.
+The code is C++ inside ``wp.func_native`` because contraction of ``a*b + c`` must be off here, whatever the module's
+options are: Clang is told by a pragma, CUDA by the ``_rn`` intrinsics, which are never contracted.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-# Room for the expansion. Components do not overlap and compress() packs them, so n components cover at least (n - 2) * 53 bits;
-# the domain above spans fewer than 1600 bits.
+# Room for the expansion. Components do not overlap and compress() packs them, so n components cover at least (n - 2) *
+# 53 bits; the domain above spans fewer than 1600 bits.
 _CAPACITY = 64
 
 ARITHMETIC = r"""
@@ -68,7 +68,8 @@ _DETERMINANT = (
     };
     // Sign of det[q - w*o, r - o, s - o]; value is its float64 approximation, exact_used counts calls of tier 2.
     int exact_used = 0;
-    auto determinant = [&](const wp::vec4d& q, const wp::vec3d& r, const wp::vec3d& s, const wp::vec3d& o, double& value) -> int {
+    using wp::vec3d;
+    auto determinant = [&](const wp::vec4d& q, const vec3d& r, const vec3d& s, const vec3d& o, double& value) -> int {
         double m[3][3];
         for (int k = 0; k < 3; ++k) {
             m[0][k] = q[3] != 0.0 ? sub(q[k], o[k]) : q[k];
@@ -145,9 +146,11 @@ _DETERMINANT = (
                 h[kept++] = x;
             n = kept;
         };
+#pragma unroll 1
         for (int term = 0; term < 6; ++term) {
             const int first = term / 2;
             const int i = (first + 1 + term % 2) % 3, j = (first + 2 - term % 2) % 3;
+#pragma unroll 1
             for (int part = 0; part < 8; ++part) {
                 double x = part & 1 ? tail[0][first] : m[0][first];
                 const double y = part & 2 ? tail[1][i] : m[1][i];
@@ -158,12 +161,11 @@ _DETERMINANT = (
                     x = -x;
                 double high, low, p, e;
                 two_product(x, y, high, low);
-                two_product(high, z, p, e);
-                grow(e);
-                grow(p);
-                two_product(low, z, p, e);
-                grow(e);
-                grow(p);
+#pragma unroll 1
+                for (int half = 0; half < 4; ++half) {
+                    two_product(half < 2 ? high : low, z, p, e);
+                    grow(half % 2 ? p : e);
+                }
             }
         }
         if (n == 0)
@@ -191,10 +193,13 @@ def norm3(x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
 @wp.func_native(
     ARITHMETIC
     + r"""
-    auto row = [&](const wp::vec4d& m) { return add(add(add(mul(m[0], v[0]), mul(m[1], v[1])), mul(m[2], v[2])), m[3]); };
+    auto row = [&](const wp::vec4d& m) {
+        return add(add(add(mul(m[0], v[0]), mul(m[1], v[1])), mul(m[2], v[2])), m[3]);
+    };
     return wp::vec3d(row(row0), row(row1), row(row2));
     """
 )
 def transform_point(row0: wp.vec4d, row1: wp.vec4d, row2: wp.vec4d, v: wp.vec3d) -> wp.vec3d:
-    """((r0 x + r1 y) + r2 z) + t per row, without contraction: the bits of ``Mesh.world_vertices`` and ``Camera.unproject``."""
+    """((r0 x + r1 y) + r2 z) + t per row, without contraction: the bits of ``Mesh.world_vertices`` and
+    ``Camera.unproject``."""
     ...

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """One homogeneous frame for near, far and directional lights, and what samples and triangles look like in it.
 
-With an anchor (centre C and scale S near the samples), f the unit vector from C to the light, r and s orthogonal to it, R the
-distance to the light and H = max(R, S), a point x gets::
+With an anchor (centre C and scale S near the samples), f the unit vector from C to the light, r and s orthogonal to
+it, R the distance to the light and H = max(R, S), a point x gets::
 
     x' = (x - C) / S      U = r.x'    V = s.x'    Z = f.x'    W = R/H - (S/H) Z
 
-(U, V, W) is, up to a positive scale per axis, the position seen from the light, so planes through the light are linear in it without
-a constant; (U, V, Z) is the position itself, for the triangle's own plane. For a directional light R/H = 1 and S/H = 0: the
-same formulas, no loss of precision however far the light is. Only this frame is float32; it feeds the filter of
-``shadow_test.py``, whose bounds account for every rounding here (``docs/exactness.md``). The exact decision never uses it.
+(U, V, W) is, up to a positive scale per axis, the position seen from the light, so planes through the light are linear
+in it without a constant; (U, V, Z) is the position itself, for the triangle's own plane. For a directional light R/H =
+1 and S/H = 0: the same formulas, no loss of precision however far the light is. Only this frame is float32; it feeds
+the filter of ``shadow_test.py``, whose bounds account for every rounding here (``docs/exactness.md``). The exact
+decision never uses it.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ OUTSIDE = wp.constant(2)
 INVALID = wp.constant(3)
 PENDING = wp.constant(4)
 
-# Unit roundoff of float32, and the factor in front of it: the filter's evaluation chain has at most 6 roundings, 8 are allowed.
+# Unit roundoff of float32, and the factor in front of it: the filter's evaluation chain has at most 6 roundings, 8 are
+# allowed.
 _U32 = 2.0**-24
 FILTER_FACTOR = 8.0
 # Bound of the float64 errors of frame coordinates and of products of them, relative to the magnitudes involved.
@@ -63,7 +65,8 @@ class Anchor:
     scale: float
 
     def covers(self, center: FloatArray, radius: float) -> bool:
-        """Whether this anchor serves samples within ``radius`` of ``center`` well, so that nothing needs to be set up again."""
+        """Whether this anchor serves samples within ``radius`` of ``center`` well, so that nothing needs to be set up
+        again."""
         distance = float(np.linalg.norm(center - np.asarray(self.center)))
         return distance + radius <= self.scale <= 8.0 * radius
 
@@ -110,7 +113,8 @@ def make_light_frame(light: Light, anchor: Anchor) -> LightFrame:
     return frame
 
 
-# State of a sample before any triangle is looked at. Without contraction, so that the border of the cone has the same bits everywhere.
+# State of a sample before any triangle is looked at. Without contraction, so that the border of the cone has the same
+# bits everywhere.
 @wp.func_native(
     ARITHMETIC
     + r"""
@@ -129,7 +133,8 @@ def light_reaches(p: wp.vec3d, light: wp.vec4d, axis: wp.vec3d, cosine: wp.float
     ...
 
 
-# Unit vector to the light and the distance to it (the largest float64 for a light at infinity), the same bits as the exact decision uses.
+# Unit vector to the light and the distance to it (the largest float64 for a light at infinity), the same bits as the
+# exact decision uses.
 @wp.func_native(
     ARITHMETIC
     + r"""
@@ -165,8 +170,8 @@ def project_samples(
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
-    """Ray of each sample in the light's frame (the biased start point), and its state before tracing. With ``again``, only the
-    rays of samples whose tracing is not finished, and no state."""
+    """Ray of each sample in the light's frame (the biased start point), and its state before tracing. With ``again``,
+    only the rays of samples whose tracing is not finished, and no state."""
     i = wp.tid()
     if again != 0 and states[i] != wp.uint8(PENDING):
         return
@@ -181,8 +186,9 @@ def project_samples(
         way = towards_light(p, frame.light)
         start = p - frame.center + wp.vec3d(way[0], way[1], way[2]) * bias
         if bias >= way[3]:
-            # Nothing lies between the biased start and the light. A start beyond the light would turn the filter's planes
-            # around, so there is no ray: NaN says so (is_ray), and the sample stays lit as the exact decision has it.
+            # Nothing lies between the biased start and the light. A start beyond the light would turn the filter's
+            # planes around, so there is no ray: NaN says so (is_ray), and the sample stays lit as the exact decision
+            # has it.
             rays[i] = wp.vec4(float(wp.nan), 0.0, 0.0, 0.0)
         else:
             c = frame_coordinates(frame, start)
@@ -200,8 +206,8 @@ def largest(v: wp.vec3d) -> wp.float64:
 
 @wp.func
 def edge_plane(a: wp.vec4d, e: wp.vec4d) -> wp.vec4d:
-    """Plane through the light and an edge from ``a`` along ``e``: a x e in (U, V, W), scaled to largest component 1, and its
-    relative error. ``e`` is a difference taken before rounding: a x (b - a), never a x b."""
+    """Plane through the light and an edge from ``a`` along ``e``: a x e in (U, V, W), scaled to largest component 1,
+    and its relative error. ``e`` is a difference taken before rounding: a x (b - a), never a x b."""
     n = wp.cross(wp.vec3d(a[0], a[1], a[2]), wp.vec3d(e[0], e[1], e[2]))
     size = largest(n)
     reach = wp.float64(1.0) + wp.abs(a[0]) + wp.abs(a[1]) + wp.abs(a[2]) + wp.abs(a[3])
@@ -237,7 +243,8 @@ def prepare_triangles(
     records: wp.array2d(dtype=wp.vec4),
     degenerate: wp.array(dtype=int),
 ):
-    """Four planes and their error bounds per triangle, float64 rounded once: (n_ab, s_e) (n_bc, s_N) (n_ca, s_D) (N, D)."""
+    """Four planes and their error bounds per triangle, float64 rounded once: (n_ab, s_e) (n_bc, s_N) (n_ca, s_D) (N,
+    D)."""
     i = wp.tid()
     a = vertices[triangles[i, 0]]
     b = vertices[triangles[i, 1]]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one registry of pipelines: name, variants, and where the implementation lives. Importing it does not import Warp."""
+"""The one registry of pipelines: name, variants, and where the implementation lives. Importing it does not import
+Warp."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ class Pipeline(Protocol):
         """Take note of the scene's new state in the buffers; called once per frame before any light."""
 
     def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
-        """Look for an occluder of every ray of light number ``light``; see ``brute_force.py`` for the meaning of ``attempt``."""
+        """Look for an occluder of every ray of light number ``light``; see ``brute_force.py`` for the meaning of
+        ``attempt``."""
 
     def learn(self, counters: dict[str, int]) -> None:
         """Told the counters of the frame that just ended; a pipeline may adapt how, never what, it answers."""

@@ -3,15 +3,18 @@
 
 Sample p, light l, triangle a, b, c. With D the side of the triangle's plane the light is on, p is in shadow iff
 
-- it lies strictly on the other side of the plane than the light, also after being moved by its bias towards the light, and
+- it lies strictly on the other side of the plane than the light, also after being moved by its bias towards the light,
+  and
 - it lies on the inner side of, or exactly on, each of the three planes through the light and an edge.
 
-No clipping, no projection and no intersection point is needed, wherever the corners are, beside or behind the light included.
+No clipping, no projection and no intersection point is needed, wherever the corners are, beside or behind the light
+included.
 
-Two tiers. ``filter_pair`` is float32 on the records of ``light_frame.prepare_triangles``: 12 multiply-adds, 64 bytes a triangle,
-with an error bound; it answers no, yes or *maybe*. Pairs it cannot decide go to a bounded queue, and ``resolve_queue`` decides them
-from the scene's float64 coordinates with exact signs (``exact.py``). A yes or no of the filter is proven to be what the exact
-decision would say, so a pipeline is right as soon as it shows every triangle that could matter to this test, in any order.
+Two tiers. ``filter_pair`` is float32 on the records of ``light_frame.prepare_triangles``: 12 multiply-adds, 64 bytes a
+triangle, with an error bound; it answers no, yes or *maybe*. Pairs it cannot decide go to a bounded queue, and
+``resolve_queue`` decides them from the scene's float64 coordinates with exact signs (``exact.py``). A yes or no of the
+filter is proven to be what the exact decision would say, so a pipeline is right as soon as it shows every triangle
+that could matter to this test, in any order.
 """
 
 from __future__ import annotations
@@ -26,7 +29,8 @@ NO = wp.constant(0)
 YES = wp.constant(1)
 MAYBE = wp.constant(2)
 
-# Floor of the magnitude that scales the filter's bound: keeps float64 frame errors (below 2^-48) covered next to the light.
+# Floor of the magnitude that scales the filter's bound: keeps float64 frame errors (below 2^-48) covered next to the
+# light.
 _MAGNITUDE_FLOOR = 2.0**-20
 
 
@@ -51,22 +55,29 @@ _MAGNITUDE_FLOOR = 2.0**-20
 
     const wp::vec3d p(sample[0], sample[1], sample[2]);
     const double bias = sample[3];
-    double d_value, a_value, unused;
-    const int d = determinant(light, v[1], v[2], v[0], d_value);
-    if (d == 0)
-        return exact_used << 1;
-    const wp::vec4d start(p[0], p[1], p[2], 1.0);
-    const int s = determinant(start, v[1], v[2], v[0], a_value);
-    if (s * d >= 0)
-        return exact_used << 1;
-    for (int k = 0; k < 3; ++k)
-        if (determinant(light, p, v[(k + 1) % 3], v[k], unused) * d > 0)
+    // Question 0: on which side of the plane is the light; 1: is the sample on the other; 2 to 4: the planes through
+    // the light and an edge. One call in a loop that stays a loop, or compilers inline the expansion arithmetic five
+    // times.
+    double value[5];
+    int light_side = 0;
+#pragma unroll 1
+    for (int question = 0; question < 5; ++question) {
+        const int k = question - 2;
+        const wp::vec4d from = question == 1 ? wp::vec4d(p[0], p[1], p[2], 1.0) : light;
+        const wp::vec3d r = question < 2 ? v[1] : p;
+        const wp::vec3d s = question < 2 ? v[2] : v[(k + 1) % 3];
+        const wp::vec3d o = question < 2 ? v[0] : v[k];
+        const int side = determinant(from, r, s, o, value[question]);
+        if (question == 0)
+            light_side = side;
+        if (question == 0 ? side == 0 : question == 1 ? side * light_side >= 0 : side * light_side > 0)
             return exact_used << 1;
+    }
     if (bias > 0.0) {
-        // The biased start p + bias * (l - p) / |l - p| is still behind the plane iff A |l - p| > bias (D + A), with A and D
-        // the distances of p and l from the plane; for a light at infinity iff A |s| > bias D.
+        // The biased start p + bias * (l - p) / |l - p| is still behind the plane iff A |l - p| > bias (D + A), with A
+        // and D the distances of p and l from the plane; for a light at infinity iff A |s| > bias D.
         double x = light[0], y = light[1], z = light[2];
-        double behind = absolute(a_value), front = absolute(d_value);
+        double behind = absolute(value[1]), front = absolute(value[0]);
         if (light[3] != 0.0) {
             x = sub(x, p[0]); y = sub(y, p[1]); z = sub(z, p[2]);
             front = add(front, behind);
@@ -78,8 +89,8 @@ _MAGNITUDE_FLOOR = 2.0**-20
     """
 )
 def decide(sample: wp.vec4d, light: wp.vec4d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> int:
-    """The decision: bit 0 is set iff the triangle keeps the light from the sample (x, y, z, bias); the other bits count the
-    determinants that needed expansion arithmetic. All of it is in scene coordinates as given, float64."""
+    """The decision: bit 0 is set iff the triangle keeps the light from the sample (x, y, z, bias); the other bits
+    count the determinants that needed expansion arithmetic. All of it is in scene coordinates as given, float64."""
     ...
 
 
@@ -95,25 +106,34 @@ def ray_magnitude(ray: wp.vec4) -> float:
     return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[2]) + wp.abs(ray[3]) + _MAGNITUDE_FLOOR
 
 
-@wp.func
-def filter_pair(ray: wp.vec4, magnitude: float, ab: wp.vec4, bc: wp.vec4, ca: wp.vec4, plane: wp.vec4) -> int:
-    """NO, YES or MAYBE from the float32 record of a triangle. Comparisons with NaN fail, and what fails both ways is MAYBE."""
-    edge = ab[3] * magnitude
-    depth = bc[3] * magnitude + ca[3]
-    e0 = ab[0] * ray[0] + ab[1] * ray[1] + ab[2] * ray[2]
-    e1 = bc[0] * ray[0] + bc[1] * ray[1] + bc[2] * ray[2]
-    e2 = ca[0] * ray[0] + ca[1] * ray[1] + ca[2] * ray[2]
-    g = plane[0] * ray[0] + plane[1] * ray[1] + plane[2] * ray[3] - plane[3]
-    if e0 < -edge or e1 < -edge or e2 < -edge or g < -depth:
-        return NO
-    if e0 > edge and e1 > edge and e2 > edge and g > depth:
-        return YES
-    return MAYBE
+# The filter as C++, so that native loops of pipelines use the same code: record points at the 16 floats of a triangle.
+FILTER = r"""
+    auto filter = [](const wp::vec4& ray, float magnitude, const wp::vec4* record) -> int {
+        const wp::vec4 &ab = record[0], &bc = record[1], &ca = record[2], &plane = record[3];
+        const float edge = ab[3] * magnitude;
+        const float depth = bc[3] * magnitude + ca[3];
+        const float e0 = ab[0] * ray[0] + ab[1] * ray[1] + ab[2] * ray[2];
+        const float e1 = bc[0] * ray[0] + bc[1] * ray[1] + bc[2] * ray[2];
+        const float e2 = ca[0] * ray[0] + ca[1] * ray[1] + ca[2] * ray[2];
+        const float g = plane[0] * ray[0] + plane[1] * ray[1] + plane[2] * ray[3] - plane[3];
+        // Comparisons with NaN fail, and what fails both ways is a maybe.
+        if (e0 < -edge || e1 < -edge || e2 < -edge || g < -depth)
+            return 0;
+        return e0 > edge && e1 > edge && e2 > edge && g > depth ? 1 : 2;
+    };
+"""
+
+
+@wp.func_native(FILTER + "return filter(ray, magnitude, (const wp::vec4*)records.data + 4 * (size_t)triangle);")
+def filter_pair(ray: wp.vec4, magnitude: float, records: wp.array2d(dtype=wp.vec4), triangle: int) -> int:
+    """NO, YES or MAYBE from the float32 record of a triangle."""
+    ...
 
 
 @wp.func
 def enqueue(sample: int, triangle: int, queue: wp.array(dtype=wp.vec2i), queue_count: wp.array(dtype=int)) -> bool:
-    """Put a pair on the queue; False when it is full. ``queue_count[0]`` then runs past the capacity: the overflow is seen."""
+    """Put a pair on the queue; False when it is full. ``queue_count[0]`` then runs past the capacity: the overflow is
+    seen."""
     slot = wp.atomic_add(queue_count, 0, 1)
     if slot >= queue.shape[0]:
         return False

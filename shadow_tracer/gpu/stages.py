@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long each stage of a frame takes. Wall clock on the CPU, events on CUDA (read once, at the end: no waiting in between)."""
+"""How long each stage of a frame takes. Wall clock on the CPU, events on CUDA (read once, at the end: no waiting in
+between)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth image to samples: one sample per pixel, in the world, float64, in image order.
 
-A pixel is valid iff its depth is finite and positive (REP 117, REP 118): NaN, infinity, zero and negative values, and 0 in millimetre
-images, never become samples. The operations are those of ``Camera.unproject`` in the same order without contraction, so a point
-computed there is the sample traced here, bit for bit.
+A pixel is valid iff its depth is finite and positive (REP 117, REP 118): NaN, infinity, zero and negative values, and
+0 in millimetre images, never become samples. The operations are those of ``Camera.unproject`` in the same order
+without contraction, so a point computed there is the sample traced here, bit for bit.
 """
 
 from __future__ import annotations

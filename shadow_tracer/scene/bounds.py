@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Declared capacities. They are known before anything is allocated, so they live with the scene and not with the buffers."""
+"""Declared capacities. They are known before anything is allocated, so they live with the scene and not with the
+buffers."""
 
 from __future__ import annotations
 
@@ -16,9 +17,10 @@ class Bounds:
         max_triangles: triangles of all meshes together; vertices are bounded by three times as many.
         max_rays: pixels of a depth image; :meth:`ShadowTracer.occluded` works in pieces of this size.
         max_lights: lights of one frame.
-        queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision. A smaller queue costs
-            further passes (counted in ``overflow_passes``), never an answer.
-        grid_entries: (tile, triangle) entries of pipelines that sort triangles into tiles; too few cost passes, never an answer.
+        queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision. A smaller
+            queue costs further passes (counted in ``overflow_passes``), never an answer.
+        grid_entries: (tile, triangle) entries of pipelines that sort triangles into tiles; too few cost passes, never
+            an answer.
 
     Raises:
         ValueError: a capacity is not a positive integer below 2^31; the message names it.

@@ -37,7 +37,7 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    camera_to_world: FloatArray = field(default_factory=lambda: np.eye(4))
+    camera_to_world: Any = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -59,7 +59,8 @@ class Camera:
     @property
     def position(self) -> FloatArray:
         """Centre of projection in the world, shape (3,) [m]."""
-        return self.camera_to_world[:3, 3]
+        position: FloatArray = self.camera_to_world[:3, 3]
+        return position
 
     def pixel_rays(self) -> FloatArray:
         """Directions of all pixels in the optical frame with z = 1, shape (height, width, 3)."""

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Argument checks shared by the scene: every message starts with the field's name and says what was expected and what came."""
+"""Argument checks shared by the scene: every message starts with the field's name and says what was expected and what
+came."""
 
 from __future__ import annotations
 
@@ -47,7 +48,8 @@ def finite(value: Any, field: str) -> float:
 
 
 def rigid_pose(value: Any, field: str) -> FloatArray:
-    """Return ``value`` as a 4x4 rigid transform: finite, last row 0 0 0 1, rotation orthonormal within 1e-6, determinant +1."""
+    """Return ``value`` as a 4x4 rigid transform: finite, last row 0 0 0 1, rotation orthonormal within 1e-6,
+    determinant +1."""
     try:
         pose = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -59,11 +61,11 @@ def rigid_pose(value: Any, field: str) -> FloatArray:
     if not np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)):
         raise ValueError(f"{field}: expected last row (0, 0, 0, 1), got {pose[3].tolist()}")
     rotation = pose[:3, :3]
-    error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if error > 1e-6 or np.linalg.det(rotation) <= 0.0:
+    deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if deviation > 1e-6 or np.linalg.det(rotation) <= 0.0:
         raise ValueError(
-            f"{field}: expected a rotation without scale, shear or mirroring; R R^T differs from identity by {error:.3g} "
-            f"and the determinant is {np.linalg.det(rotation):.6g}"
+            f"{field}: expected a rotation without scale, shear or mirroring; R R^T differs from identity by "
+            f"{deviation:.3g} and the determinant is {np.linalg.det(rotation):.6g}"
         )
     return pose.copy()
 

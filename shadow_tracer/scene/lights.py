@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lights, and what each means geometrically.
 
-Every light is, for the shadow test, one homogeneous point ``(x, y, z, w)``: a position with w = 1, or the direction *to* the
-light with w = 0 when it is infinitely far away. ``direction`` is always the way light travels.
+Every light is, for the shadow test, one homogeneous point ``(x, y, z, w)``: a position with w = 1, or the direction
+*to* the light with w = 0 when it is infinitely far away. ``direction`` is always the way light travels.
 """
 
 from __future__ import annotations
@@ -14,6 +14,9 @@ from typing import Any
 import numpy as np
 
 from shadow_tracer.scene.checks import FloatArray, direction3, name_of, vector3
+
+# Three real numbers in any form going in, a read-only float64 array coming out.
+Vector = Any
 
 
 def _unit(direction: FloatArray) -> FloatArray:
@@ -46,7 +49,7 @@ class PointLight:
     """
 
     name: str
-    position: FloatArray
+    position: Vector
     range: float = math.inf
 
     def __post_init__(self) -> None:
@@ -78,8 +81,8 @@ class SpotLight:
     """
 
     name: str
-    position: FloatArray
-    direction: FloatArray
+    position: Vector
+    direction: Vector
     outer_angle: float
     range: float = math.inf
 
@@ -121,7 +124,7 @@ class DirectionalLight:
     """
 
     name: str
-    direction: FloatArray
+    direction: Vector
 
     def __post_init__(self) -> None:
         name_of(self.name, "name")
@@ -148,7 +151,7 @@ class SphereLight:
 
     def __init__(self, name: str, position: Any, radius: float) -> None:
         raise NotImplementedError(
-            f"SphereLight {name!r}: soft shadows are not available yet; use PointLight for the hard shadow of its centre"
+            f"SphereLight {name!r}: soft shadows are not available yet; PointLight gives its centre's hard shadow"
         )
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mesh and Scene: named triangle meshes that move and deform, checked on entry, with revision numbers.
 
-A revision number changes exactly when the thing it counts changes, so whoever mirrors the scene (the device buffers) copies only
-what is new. Every check runs before anything is stored: after an error the scene is what it was.
+A revision number changes exactly when the thing it counts changes, so whoever mirrors the scene (the device buffers)
+copies only what is new. Every check runs before anything is stored: after an error the scene is what it was.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ class Mesh:
 
     @property
     def degenerate_count(self) -> int:
-        """Triangles that cast nothing: zero area (in float64) or a corner that is not finite. Counted when first asked."""
+        """Triangles that cast nothing: zero area (in float64) or a corner that is not finite. Counted when first
+        asked."""
         if self._degenerate is None or self._degenerate[0] != self.vertices_revision:
             a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
             with np.errstate(invalid="ignore", over="ignore"):
@@ -201,13 +202,15 @@ class Scene:
         """Give a mesh new vertex positions, (V, 3) [m], with the triangles it has.
 
         Raises:
-            ValueError: no mesh of that name, another number of vertices, or (unless "skip") a vertex that is not finite.
+            ValueError: no mesh of that name, another number of vertices, or (unless "skip") a vertex that is not
+                finite.
         """
         mesh = self[name]
         new_vertices = _vertices(vertices, nonfinite)
         if len(new_vertices) != len(mesh.vertices):
             raise ValueError(
-                f"vertices: expected {len(mesh.vertices)} as mesh {name!r} has, got {len(new_vertices)}; use put() to replace it"
+                f"vertices: expected {len(mesh.vertices)} as mesh {name!r} has, got {len(new_vertices)}; "
+                "use put() to replace it"
             )
         mesh.vertices = new_vertices
         mesh.vertices_revision = next(_serial)
@@ -232,8 +235,8 @@ class Scene:
         limit = self.bounds.max_triangles
         if triangles > limit:
             raise BoundsError(
-                f"bounds.max_triangles: mesh {name!r} has {triangle_count} triangles and the scene would have {triangles}, "
-                f"but the bound is {limit}"
+                f"bounds.max_triangles: mesh {name!r} has {triangle_count} triangles and the scene would have "
+                f"{triangles}, but the bound is {limit}"
             )
         if vertices > 3 * limit:
             raise BoundsError(
