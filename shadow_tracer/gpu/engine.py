@@ -72,7 +72,7 @@ class Engine:
             upload(target, depth.reshape(-1))
         frame.count = depth.size
         with self.stages.stage("unproject"):
-            self._anchor = _depth_anchor(depth, camera, self._anchor)
+            self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
             wp.launch(
                 unproject.unproject,
                 dim=frame.count,
@@ -102,7 +102,7 @@ class Engine:
         frame.count = len(points)
         low, high = points.min(axis=0), points.max(axis=0)
         center = 0.5 * low + 0.5 * high
-        self._anchor = make_anchor(center, float(np.linalg.norm(high - center)), self._anchor)
+        self._anchor = make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), self._anchor)
         self._pipeline.update(change)
         return self._trace_lights([light])
 
@@ -190,7 +190,7 @@ def _pinhole(camera: Camera, bias: tuple[float, float]) -> unproject.Pinhole:
     return pinhole
 
 
-def _depth_anchor(depth: np.ndarray, camera: Camera, previous: Anchor | None) -> Anchor:
+def _depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:
     """Anchor from a sparse look at the depth image: it needs to be near the samples, not around all of them."""
     step = max(1, min(depth.shape) // 32)
     rows, columns = np.mgrid[step // 2 : depth.shape[0] : step, step // 2 : depth.shape[1] : step]
@@ -205,4 +205,7 @@ def _depth_anchor(depth: np.ndarray, camera: Camera, previous: Anchor | None) ->
     low, high = local.min(axis=1), local.max(axis=1)
     center = 0.5 * low + 0.5 * high
     world = camera.camera_to_world[:3, :3] @ center + camera.camera_to_world[:3, 3]
-    return make_anchor(world, float(np.linalg.norm(high - center)), previous)
+    # A scale of some biases keeps the biased starts from cancelling against it (project_samples).
+    return make_anchor(
+        world, max(float(np.linalg.norm(high - center)), 4.0 * (bias[0] + bias[1] * z.max() ** 2)), previous
+    )

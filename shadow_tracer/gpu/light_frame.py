@@ -44,7 +44,7 @@ _SETUP_ERROR = 2.0**-46
 class LightFrame:
     """A light and the frame around it, as kernels see it."""
 
-    light: wp.vec4d  # homogeneous: position and 1, or unit direction to the light and 0
+    light: wp.vec4d  # homogeneous: position and 1, or direction to the light (any length) and 0
     center: wp.vec3d
     r: wp.vec3d
     s: wp.vec3d
@@ -85,7 +85,7 @@ def make_light_frame(light: Light, anchor: Anchor) -> LightFrame:
     homogeneous = light.homogeneous
     center = np.asarray(anchor.center)
     if homogeneous[3] == 0.0:
-        f = homogeneous[:3]
+        f = homogeneous[:3] / np.linalg.norm(homogeneous[:3])
         w_constant, w_slope = 1.0, 0.0
     else:
         offset = homogeneous[:3] - center
@@ -193,6 +193,9 @@ def project_samples(
         else:
             c = frame_coordinates(frame, start)
             rays[i] = wp.vec4(float(c[0]), float(c[1]), float(c[2]), float(c[3]))
+            if bias * frame.inverse_scale > wp.float64(0.5):
+                # The sum above may cancel beyond the bound of the filter; infinity is a maybe for everything.
+                rays[i] = wp.vec4(float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
             if again == 0:
                 wp.atomic_add(counters, i & 63, RAYS, wp.int64(1))
     if again == 0:

@@ -31,8 +31,8 @@ def direction3(value: Any, field: str) -> FloatArray:
     """Return ``value`` as three finite numbers that are not all zero (length is kept: the caller normalises)."""
     vector = vector3(value, field)
     length = float(np.linalg.norm(vector))
-    if not 1e-150 < length < 1e150:
-        raise ValueError(f"{field}: expected a direction of length between 1e-150 and 1e150, got {value!r}")
+    if not 1e-30 <= length <= 1e30:
+        raise ValueError(f"{field}: expected a direction of length between 1e-30 and 1e30, got {value!r}")
     return vector
 
 

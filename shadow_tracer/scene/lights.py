@@ -137,8 +137,8 @@ class DirectionalLight:
 
     @property
     def homogeneous(self) -> FloatArray:
-        """(4,) point at infinity: (-direction, 0) with unit direction."""
-        return np.append(-_unit(self.direction), 0.0)
+        """(4,) point at infinity: (-direction, 0). Not normalised, which would turn it by a rounding error."""
+        return np.append(-self.direction, 0.0)
 
     @property
     def cone(self) -> tuple[FloatArray, float]:
