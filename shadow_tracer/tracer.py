@@ -97,16 +97,12 @@ class Frame:
         """
         if not 0 <= unknown <= 255:
             raise ValueError(f"unknown: expected an integer from 0 to 255, got {unknown!r}")
-        if name is None:
-            lit = (self._states == State.LIT).any(axis=0)
-            invalid = self._states[0] == State.INVALID
-            mask = np.where(lit, np.uint8(255), np.uint8(0))
-            mask[invalid] = unknown
-            return mask
-        table = np.zeros(256, dtype=np.uint8)
-        table[State.LIT] = 255
-        table[State.INVALID] = unknown
-        return table[self.state(name)]
+        # LIT is the least state, and a pixel without depth is INVALID for every light.
+        state = self._states.min(axis=0) if name is None else self.state(name)
+        mask: ByteImage = np.negative((state == State.LIT).view(np.uint8))  # 1 becomes 255
+        if unknown:
+            mask[state == State.INVALID] = unknown
+        return mask
 
     def bits(self) -> npt.NDArray[np.uint16]:
         """(H, W) uint16 image in which bit i is set where light i (in the order of ``names``) reaches; up to 16

@@ -69,7 +69,7 @@ def test_all_float64(
     triangle_count: int,
     samples: wp.array(dtype=wp.vec4d),
     vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array2d(dtype=wp.int32),
+    triangles: wp.array(dtype=wp.vec3i),
     rays: wp.array(dtype=wp.vec4),
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
@@ -80,9 +80,10 @@ def test_all_float64(
     tests = int(0)
     exact = int(0)
     for t in range(triangle_count):
-        a = vertices[triangles[t, 0]]
-        b = vertices[triangles[t, 1]]
-        c = vertices[triangles[t, 2]]
+        corners = triangles[t]
+        a = vertices[corners[0]]
+        b = vertices[corners[1]]
+        c = vertices[corners[2]]
         if wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c):
             tests += 1
             answer = decide(samples[i], light, a, b, c)

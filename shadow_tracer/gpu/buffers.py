@@ -20,11 +20,12 @@ from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.mesh import Mesh, Scene
 
 # Columns of the counter array. Each has 64 rows that threads spread over, so that they do not queue for one address.
-COUNTERS = ("rays", "leaf_tests", "retested", "exact")
+COUNTERS = ("rays", "nodes_visited", "leaf_tests", "retested", "exact")
 RAYS = wp.constant(0)
-LEAF_TESTS = wp.constant(1)
-RETESTED = wp.constant(2)
-EXACT = wp.constant(3)
+NODES_VISITED = wp.constant(1)
+LEAF_TESTS = wp.constant(2)
+RETESTED = wp.constant(3)
+EXACT = wp.constant(4)
 _ROWS = 64
 
 
@@ -119,7 +120,7 @@ class SceneBuffers:
         vertices = 3 * bounds.max_triangles
         self.local = wp.empty(vertices, dtype=wp.vec3d, device=device)
         self.vertices = wp.empty(vertices, dtype=wp.vec3d, device=device)
-        self.triangles = wp.empty((bounds.max_triangles, 3), dtype=wp.int32, device=device)
+        self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
         self.triangle_count = 0
         self.version = 0  # grows with every change
         self.low: FloatArray = np.zeros(3)  # bounding box in the world

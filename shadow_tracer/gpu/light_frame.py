@@ -242,16 +242,17 @@ def prepare_triangles(
     frame: LightFrame,
     factor: wp.float64,
     vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array2d(dtype=wp.int32),
+    triangles: wp.array(dtype=wp.vec3i),
     records: wp.array2d(dtype=wp.vec4),
     degenerate: wp.array(dtype=int),
 ):
     """Four planes and their error bounds per triangle, float64 rounded once: (n_ab, s_e) (n_bc, s_N) (n_ca, s_D) (N,
     D)."""
     i = wp.tid()
-    a = vertices[triangles[i, 0]]
-    b = vertices[triangles[i, 1]]
-    c = vertices[triangles[i, 2]]
+    corners = triangles[i]
+    a = vertices[corners[0]]
+    b = vertices[corners[1]]
+    c = vertices[corners[2]]
     if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
         never_record(i, records)
         wp.atomic_add(degenerate, i & 63, 1)

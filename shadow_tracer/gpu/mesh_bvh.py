@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.buffers import LEAF_TESTS, Change
+from shadow_tracer.gpu.buffers import LEAF_TESTS, NODES_VISITED, Change
 from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED, LightFrame, towards_light
 from shadow_tracer.gpu.shadow_test import FILTER, MAYBE, YES, enqueue, filter_pair, is_ray, ray_magnitude
 from shadow_tracer.gpu.triangles import Context
@@ -50,15 +50,16 @@ class SceneBox:
 def triangle_boxes(
     box: SceneBox,
     vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array2d(dtype=wp.int32),
+    triangles: wp.array(dtype=wp.vec3i),
     lowers: wp.array(dtype=wp.vec3),
     uppers: wp.array(dtype=wp.vec3),
 ):
     """Padded boxes relative to the scene's centre, rounded outwards."""
     i = wp.tid()
-    a = vertices[triangles[i, 0]] - box.center
-    b = vertices[triangles[i, 1]] - box.center
-    c = vertices[triangles[i, 2]] - box.center
+    corners = triangles[i]
+    a = vertices[corners[0]] - box.center
+    b = vertices[corners[1]] - box.center
+    c = vertices[corners[2]] - box.center
     if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
         lowers[i] = wp.vec3(0.0, 0.0, 0.0)
         uppers[i] = wp.vec3(0.0, 0.0, 0.0)
@@ -82,10 +83,10 @@ def clip_axis(span: wp.vec2d, start: wp.float64, way: wp.float64, half: wp.float
     return wp.vec2d(wp.max(span[0], wp.min(t0, t1)), wp.min(span[1], wp.max(t0, t1)))
 
 
-# What a walk through the tree found: whether an occluder is certain, triangles tested, uncertain triangles found, and
-# the first of them.
+# What a walk through the tree found: whether an occluder is certain, triangles tested, nodes visited, uncertain
+# triangles found, and the first of them.
 _FOUND = 5
-Candidates = wp.types.vector(length=3 + _FOUND, dtype=wp.int32)
+Candidates = wp.types.vector(length=4 + _FOUND, dtype=wp.int32)
 
 
 # Warp's own query iterator pushes both children untested and hands out boxes one by one; walking its nodes here,
@@ -93,7 +94,7 @@ Candidates = wp.types.vector(length=3 + _FOUND, dtype=wp.int32)
 @wp.func_native(
     FILTER
     + r"""
-    using Result = wp::vec_t<8, wp::int32>;
+    using Result = wp::vec_t<9, wp::int32>;
     Result result;
     const wp::BVH tree = wp::bvh_get(bvh);
     const wp::vec4* record = (const wp::vec4*)records.data;
@@ -111,11 +112,12 @@ Candidates = wp.types.vector(length=3 + _FOUND, dtype=wp.int32)
         return in <= out ? in : 3.0e38f;
     };
     int stack[64];
-    int top = 0, tests = 0, found = 0;
+    int top = 0, nodes = 0, tests = 0, found = 0;
     int node = *tree.root;
     if (enter(node) > 1.0e38f)
         return result;
     for (;;) {
+        ++nodes;
         const wp::BVHPackedNodeHalf lower = tree.node_lowers[node];
         const int left = lower.i, right = tree.node_uppers[node].i;
         if (lower.b) {
@@ -126,11 +128,12 @@ Candidates = wp.types.vector(length=3 + _FOUND, dtype=wp.int32)
                 if (answer == 1) {
                     result[0] = 1;
                     result[1] = tests;
+                    result[2] = nodes;
                     return result;
                 }
                 if (answer == 2) {
                     if (found >= skip && found < skip + 5)
-                        result[3 + found - skip] = triangle;
+                        result[4 + found - skip] = triangle;
                     ++found;
                 }
             }
@@ -152,7 +155,8 @@ Candidates = wp.types.vector(length=3 + _FOUND, dtype=wp.int32)
         node = stack[--top];
     }
     result[1] = tests;
-    result[2] = found;
+    result[2] = nodes;
+    result[3] = found;
     return result;
     """
 )
@@ -166,7 +170,7 @@ def search(
     magnitude: float,
     skip: int,
 ) -> Candidates:
-    """(certain, tests, uncertain triangles, up to five of them from number ``skip`` on)."""
+    """(certain, tests, nodes, uncertain triangles, up to five of them from number ``skip`` on)."""
     ...
 
 
@@ -213,6 +217,7 @@ def walk(
         span = clip_axis(span, start[2], way[2], box.half[2])
     result = int(LIT)
     tests = int(0)
+    nodes = int(0)
     queued = int(0)
     if attempt == 2:
         queued = resume[i]
@@ -242,20 +247,22 @@ def walk(
         while more:
             found = search(bvh, origin, direction, longest, records, ray, magnitude, queued)
             tests += found[1]
+            nodes += found[2]
             more = False
             if found[0] != 0:
                 result = SHADOWED
             else:
-                for k in range(wp.min(found[2] - queued, _FOUND)):
+                for k in range(wp.min(found[3] - queued, _FOUND)):
                     if result == LIT:
-                        if enqueue(i, found[3 + k], queue, queue_count):
+                        if enqueue(i, found[4 + k], queue, queue_count):
                             queued += 1
                         else:
                             result = PENDING
-                more = result == LIT and queued < found[2]
+                more = result == LIT and queued < found[3]
     if result == PENDING:
         resume[i] = queued
     states[i] = wp.uint8(result)
+    wp.atomic_add(counters, i & 63, NODES_VISITED, wp.int64(nodes))
     wp.atomic_add(counters, i & 63, LEAF_TESTS, wp.int64(tests))
 
 

@@ -149,7 +149,7 @@ def resolve_queue(
     queue_count: wp.array(dtype=int),
     samples: wp.array(dtype=wp.vec4d),
     vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array2d(dtype=wp.int32),
+    triangles: wp.array(dtype=wp.vec3i),
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
@@ -162,9 +162,10 @@ def resolve_queue(
         pair = queue[k]
         if states[pair[0]] != wp.uint8(SHADOWED):
             t = pair[1]
-            a = vertices[triangles[t, 0]]
-            b = vertices[triangles[t, 1]]
-            c = vertices[triangles[t, 2]]
+            corners = triangles[t]
+            a = vertices[corners[0]]
+            b = vertices[corners[1]]
+            c = vertices[corners[2]]
             answer = decide(samples[pair[0]], light, a, b, c)
             decided += 1
             exact += answer >> 1

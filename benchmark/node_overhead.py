@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node spends around the trace at 640 x 480 with a mesh that changes every frame, and on receiving the mesh.
+
+Node and publisher run in one process, so the figures are the node's own and not the transport's. The node's
+``~/timing`` is what is read: the stages of the trace itself (unproject, project, setup, build, trace, resolve) are left
+out of the overhead. Every mask is compared with the library's answer for the same input before its frame counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_DOMAIN_ID", "58")
+os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp())
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from report import finish, summary
+from sensor_msgs.msg import CameraInfo, Image
+from shape_msgs.msg import Mesh
+
+from shadow_tracer import Bias, Camera, PointLight, ShadowTracer
+from shadow_tracer.ros.cdr import encode_mesh
+from shadow_tracer.ros.mesh_input import MeshInput
+from shadow_tracer.ros.node import ShadowNode
+
+WIDTH, HEIGHT, FOCAL = 640, 480, 525.0
+LAMP = (0.4, -0.3, 0.2)
+BIAS = Bias(0.02, 0.003)
+
+
+def wavy_sheet(cells: int, phase: float) -> tuple[np.ndarray, np.ndarray]:
+    """A sheet of 2 * cells^2 triangles between camera and wall that waves with ``phase``."""
+    u, v = np.meshgrid(np.linspace(-0.6, 0.6, cells + 1), np.linspace(-0.45, 0.45, cells + 1))
+    z = 1.2 + 0.08 * np.sin(7 * u + phase) * np.cos(5 * v - phase)
+    corner = np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)
+    a, b, c, d = corner, corner + 1, corner + cells + 2, corner + cells + 1
+    triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    return np.stack([u, v, z], axis=-1).reshape(-1, 3), triangles
+
+
+def _info(stamp: int) -> CameraInfo:
+    info = CameraInfo(width=WIDTH, height=HEIGHT)
+    info.header.frame_id = "camera"
+    info.header.stamp.sec, info.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+    info.k = [FOCAL, 0.0, WIDTH / 2, 0.0, FOCAL, HEIGHT / 2, 0.0, 0.0, 1.0]
+    return info
+
+
+def _image(depth: np.ndarray, stamp: int) -> Image:
+    image = Image(width=WIDTH, height=HEIGHT, encoding="16UC1", step=2 * WIDTH)
+    image.header = _info(stamp).header
+    image.data.frombytes(memoryview(depth).cast("B"))
+    return image
+
+
+class Measurement:
+    """Plays frames to the node and collects what it says about them."""
+
+    def __init__(self) -> None:
+        overrides = {"lights": ["lamp"], "lights.lamp.position": list(LAMP), "pose_source": "parameter"}
+        overrides |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic, "device": "cpu"}
+        self.node = ShadowNode(parameter_overrides=[Parameter(name, value=value) for name, value in overrides.items()])
+        self.player = Node("player")
+        reliable = QoSProfile(depth=1)
+        self.depth_out = self.player.create_publisher(Image, "depth/image_rect", reliable)
+        self.info_out = self.player.create_publisher(CameraInfo, "depth/camera_info", reliable)
+        self.mesh_out = self.player.create_publisher(Mesh, "mesh", reliable)
+        self.timing: DiagnosticArray | None = None
+        self.mask: Image | None = None
+        self.player.create_subscription(DiagnosticArray, "/shadow_tracer/timing", self._on_timing, reliable)
+        self.player.create_subscription(Image, "/shadow_tracer/mask/lamp", self._on_mask, reliable)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.executor.add_node(self.player)
+
+    def _on_timing(self, message: DiagnosticArray) -> None:
+        self.timing = message
+
+    def _on_mask(self, message: Image) -> None:
+        self.mask = message
+
+    def spin_until(self, done: object, seconds: float = 120.0) -> None:
+        """Run callbacks until ``done()``."""
+        assert callable(done)
+        for _ in range(int(seconds / 0.01)):
+            if done():
+                return
+            self.executor.spin_once(timeout_sec=0.01)
+        raise TimeoutError("the node did not answer")
+
+    def play(self, mesh: bytes, depth: np.ndarray, stamp: int) -> tuple[dict[str, float], np.ndarray]:
+        """Publish one frame; returns the node's stages [ms] and its mask."""
+        self.timing = self.mask = None
+        received = self.node._mesh.arrivals.count
+        self.mesh_out.publish(mesh)
+        self.spin_until(lambda: self.node._mesh.arrivals.count > received)
+        self.info_out.publish(_info(stamp))
+        self.depth_out.publish(_image(depth, stamp))
+        self.spin_until(lambda: self.timing is not None and self.mask is not None)
+        assert self.timing is not None and self.mask is not None
+        stages = {}
+        for item in self.timing.status[0].values:
+            name, _, unit = item.key.partition(" [")
+            if unit == "ms]":
+                stages[name] = float(item.value)
+        return stages, np.frombuffer(self.mask.data, np.uint8).reshape(HEIGHT, WIDTH)
+
+
+def receive_mesh(cells: int, frames: int) -> dict[str, list[float]]:
+    """Milliseconds of Python per received mesh: parsing, and giving it to the scene."""
+    import time
+
+    from shadow_tracer import Scene
+
+    scene, inputs = Scene(), MeshInput()
+    times: dict[str, list[float]] = {"new triangles": [], "same triangles, new positions": []}
+    for frame in range(frames):
+        vertices, triangles = wavy_sheet(cells, 0.1 * frame)
+        for what, order in (("new triangles", triangles[::-1] if frame % 2 else triangles), ("same", None)):
+            data = encode_mesh(vertices + 0.001, order if order is not None else triangles[:: -1 if frame % 2 else 1])
+            begin = time.perf_counter()
+            inputs.receive(data, 1_000_000, 0.0, 0)
+            inputs.update(scene, np.eye(4), 0.0)
+            elapsed = (time.perf_counter() - begin) * 1e3
+            times["new triangles" if what == "new triangles" else "same triangles, new positions"].append(elapsed)
+    return times
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--cells", type=int, default=187, help="the sheet has 2 * cells^2 triangles")
+    parser.add_argument("--json", help="file to write")
+    options = parser.parse_args()
+    rclpy.init()
+    measurement = Measurement()
+    measurement.spin_until(lambda: measurement.node.ready)
+    tracer = ShadowTracer(device="cpu")
+    camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
+    depth = np.full((HEIGHT, WIDTH), 2500, np.uint16)
+    depth[::37, ::41] = 0
+    collected: dict[str, list[float]] = {}
+    for frame in range(options.frames + 3):
+        vertices, triangles = wavy_sheet(options.cells, 0.1 * frame)
+        stages, mask = measurement.play(encode_mesh(vertices, triangles), depth, (frame + 1) * 33_000_000)
+        tracer.scene.put("mesh", vertices, triangles)
+        expected = tracer.trace(depth, camera, [PointLight("lamp", LAMP)], bias=BIAS).mask("lamp")
+        if not np.array_equal(mask, expected):
+            raise SystemExit(
+                f"frame {frame}: the node's mask differs from the library's in {(mask != expected).sum()} pixels"
+            )
+        if frame < 3:
+            continue
+        overhead = sum(stages[name] for name in stages if name in ("decode", "transforms", "masks", "publish"))
+        overhead += stages["mesh"] + stages["trace.upload"] + stages["trace.download"]
+        for name, value in (stages | {"OVERHEAD (decode, mesh, upload, download, masks, publish)": overhead}).items():
+            collected.setdefault(name, []).append(value)
+    rows = [{"what": f"{name} [ms]", **summary(values)} for name, values in collected.items()]
+    for what, values in receive_mesh(options.cells, options.frames).items():
+        rows.append({"what": f"RECEIVE a mesh, {what} [ms]", **summary(values)})
+    measurement.executor.shutdown()
+    measurement.node.close()
+    measurement.player.destroy_node()
+    rclpy.try_shutdown()
+    finish(f"Node at {WIDTH} x {HEIGHT}, {2 * options.cells**2} triangles changing every frame", rows, options.json)
+
+
+if __name__ == "__main__":
+    main()

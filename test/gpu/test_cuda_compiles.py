@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every kernel compiles for CUDA, also where there is no GPU: Warp brings the compiler with it."""
+
+from importlib import import_module
+
+import pytest
+
+wp = pytest.importorskip("warp")
+
+MODULES = ("buffers", "unproject", "light_frame", "shadow_test", "brute_force", "mesh_bvh")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_kernels_compile_for_cuda(name, tmp_path):
+    wp.init()
+    if not wp.get_cuda_supported_archs():
+        pytest.skip("this build of Warp has no CUDA compiler")
+    module = import_module(f"shadow_tracer.gpu.{name}")
+    wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path), use_ptx=False)
+    assert list(tmp_path.glob("*.cubin")), "no machine code was written"
