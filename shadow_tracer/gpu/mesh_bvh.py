@@ -102,13 +102,17 @@ Candidates = wp.types.vector(length=4 + _FOUND, dtype=wp.int32)
     const wp::vec3 o = origin;
     const wp::vec3 inverse(1.0f / direction[0], 1.0f / direction[1], 1.0f / direction[2]);
     // Entry distance of a node's box, or a value beyond the ray if it is missed.
+    auto least = [](float x, float y) { return x < y ? x : y; };
+    auto most = [](float x, float y) { return x > y ? x : y; };
+    const float ox = o[0], oy = o[1], oz = o[2], ix = inverse[0], iy = inverse[1], iz = inverse[2];
     auto enter = [&](int node) -> float {
-        const wp::BVHPackedNodeHalf lower = tree.node_lowers[node], upper = tree.node_uppers[node];
-        const float x0 = (lower.x - o[0]) * inverse[0], x1 = (upper.x - o[0]) * inverse[0];
-        const float y0 = (lower.y - o[1]) * inverse[1], y1 = (upper.y - o[1]) * inverse[1];
-        const float z0 = (lower.z - o[2]) * inverse[2], z1 = (upper.z - o[2]) * inverse[2];
-        const float in = wp::max(wp::max(wp::min(x0, x1), wp::min(y0, y1)), wp::max(wp::min(z0, z1), 0.0f));
-        const float out = wp::min(wp::min(wp::max(x0, x1), wp::max(y0, y1)), wp::min(wp::max(z0, z1), longest));
+        const float* lower = (const float*)(tree.node_lowers + node);
+        const float* upper = (const float*)(tree.node_uppers + node);
+        const float x0 = (lower[0] - ox) * ix, x1 = (upper[0] - ox) * ix;
+        const float y0 = (lower[1] - oy) * iy, y1 = (upper[1] - oy) * iy;
+        const float z0 = (lower[2] - oz) * iz, z1 = (upper[2] - oz) * iz;
+        const float in = most(most(least(x0, x1), least(y0, y1)), most(least(z0, z1), 0.0f));
+        const float out = least(least(most(x0, x1), most(y0, y1)), least(most(z0, z1), longest));
         return in <= out ? in : 3.0e38f;
     };
     int stack[64];
