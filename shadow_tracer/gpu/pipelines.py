@@ -49,7 +49,7 @@ REGISTRY: dict[str, PipelineEntry] = {
         "bounding volume hierarchy over the triangles, refitted while only positions change",
     ),
     "brute_force": PipelineEntry(
-        ("filtered", "float64"),
+        ("filtered", "scalar", "float64"),
         "shadow_tracer.gpu.brute_force",
         "BruteForce",
         "every sample against every triangle: the oracle the others are compared with",

@@ -31,7 +31,7 @@ MAYBE = wp.constant(2)
 
 # Floor of the magnitude that scales the filter's bound: keeps float64 frame errors (below 2^-48) covered next to the
 # light.
-_MAGNITUDE_FLOOR = 2.0**-20
+MAGNITUDE_FLOOR = 2.0**-20
 
 
 @wp.func_native(
@@ -103,7 +103,7 @@ def is_ray(state: wp.uint8, ray: wp.vec4) -> bool:
 @wp.func
 def ray_magnitude(ray: wp.vec4) -> float:
     """What the bounds of ``filter_pair`` scale with."""
-    return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[2]) + wp.abs(ray[3]) + _MAGNITUDE_FLOOR
+    return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[2]) + wp.abs(ray[3]) + MAGNITUDE_FLOOR
 
 
 # The filter as C++, so that native loops of pipelines use the same code: record points at the 16 floats of a triangle.
@@ -120,6 +120,31 @@ FILTER = r"""
         if (e0 < -edge || e1 < -edge || e2 < -edge || g < -depth)
             return 0;
         return e0 > edge && e1 > edge && e2 > edge && g > depth ? 1 : 2;
+    };
+"""
+
+# The same for n rays given as separate coordinates and magnitudes: written so that the CPU's compiler puts the loop
+# into vector registers. Fills answer with 0, 1 or 2 and returns whether any is not 0.
+FILTER_BLOCK = r"""
+    auto filter_block = [](const float* record, int n, const float* U, const float* V, const float* W, const float* Z,
+                           const float* M, int* answer) -> int {
+        const float a0 = record[0], a1 = record[1], a2 = record[2], a3 = record[3];
+        const float b0 = record[4], b1 = record[5], b2 = record[6], b3 = record[7];
+        const float c0 = record[8], c1 = record[9], c2 = record[10], c3 = record[11];
+        const float p0 = record[12], p1 = record[13], p2 = record[14], p3 = record[15];
+        int any = 0;
+        for (int j = 0; j < n; ++j) {
+            const float edge = a3 * M[j], depth = b3 * M[j] + c3;
+            const float e0 = a0 * U[j] + a1 * V[j] + a2 * W[j];
+            const float e1 = b0 * U[j] + b1 * V[j] + b2 * W[j];
+            const float e2 = c0 * U[j] + c1 * V[j] + c2 * W[j];
+            const float g = p0 * U[j] + p1 * V[j] + p2 * Z[j] - p3;
+            const int no = (e0 < -edge) | (e1 < -edge) | (e2 < -edge) | (g < -depth);
+            const int yes = (e0 > edge) & (e1 > edge) & (e2 > edge) & (g > depth);
+            answer[j] = (1 - no) * (2 - yes);
+            any |= answer[j];
+        }
+        return any;
     };
 """
 
