@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Timing and health as diagnostic_msgs, and the small meters behind them. What they say is decided in :mod:`health`."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+DEPTH, MESH, TRANSFORMS, DEVICE, PROCESSING = "input depth", "input mesh", "transforms", "device", "processing"
+
+
+class Missing(Exception):
+    """Something a frame needs is not there: its mask says unknown.
+
+    Args:
+        status: the diagnostics status that tells about it, one of the five names above.
+        text: what is missing, and the command or setting that helps.
+        wait: it may still come; ask again until the frame has waited long enough.
+        level: WARN or ERROR.
+    """
+
+    def __init__(self, status: str, text: str, wait: bool = True, level: bytes = WARN) -> None:
+        super().__init__(text)
+        self.status = status
+        self.text = text
+        self.wait = wait
+        self.level = level
+
+
+class Complaint:
+    """Counts refusals and remembers the last; ``recent`` for a while, so that a single one can be read."""
+
+    def __init__(self, remember: float = 5.0) -> None:
+        self.count = 0
+        self.text = ""
+        self._remember = remember
+        self._when = -np.inf
+
+    def add(self, text: str, now: float) -> None:
+        """Note a refusal at the steady time ``now`` [s]."""
+        self.count += 1
+        self.text = text
+        self._when = now
+
+    def recent(self, now: float) -> bool:
+        """True within ``remember`` seconds after the last refusal."""
+        return now - self._when <= self._remember
+
+
+class RateMeter:
+    """Rate and age of something that arrives, on a steady clock, over the last arrivals."""
+
+    def __init__(self, size: int = 32) -> None:
+        self.count = 0
+        self._times: deque[float] = deque(maxlen=size)
+
+    def tick(self, now: float) -> None:
+        """Note an arrival at the steady time ``now`` [s]."""
+        self.count += 1
+        self._times.append(now)
+
+    def age(self, now: float) -> float:
+        """Seconds since the last arrival; infinity before the first."""
+        return now - self._times[-1] if self._times else np.inf
+
+    def rate(self, now: float) -> float:
+        """Arrivals per second; 0 before the second one and after three seconds of silence."""
+        if len(self._times) < 2 or self.age(now) > 3.0:
+            return 0.0
+        span = self._times[-1] - self._times[0]
+        return (len(self._times) - 1) / span if span > 0.0 else 0.0
+
+
+class Window:
+    """Mean, 95th percentile and maximum of the last values of a series."""
+
+    def __init__(self, size: int = 256) -> None:
+        self._values: deque[float] = deque(maxlen=size)
+
+    def add(self, value: float) -> None:
+        """Append a value."""
+        self._values.append(value)
+
+    def summary(self) -> str:
+        """``mean / 95 % / max``, or "-" if there is nothing yet."""
+        if not self._values:
+            return "-"
+        values = np.asarray(self._values)
+        return f"{values.mean():.1f} / {np.percentile(values, 95):.1f} / {values.max():.1f}"
+
+
+def status(name: str, level: bytes, text: str, values: Mapping[str, Any], hardware_id: str) -> DiagnosticStatus:
+    """A DiagnosticStatus; values are written with ``str``."""
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    return DiagnosticStatus(level=level, name=name, message=text, hardware_id=hardware_id, values=pairs)
+
+
+def timing(
+    node: str,
+    hardware_id: str,
+    stamp: Any,
+    missing: Missing | None,
+    stages: Mapping[str, float],
+    numbers: Mapping[str, Any],
+) -> DiagnosticArray:
+    """The message of ``~/timing`` for one frame.
+
+    Args:
+        node: name of the node.
+        hardware_id: device that traced.
+        stamp: stamp of the depth image, so that the message can be joined with its mask.
+        missing: why the mask says unknown; None if the frame was traced.
+        stages: stage -> milliseconds; written as ``<stage> [ms]``.
+        numbers: counters, sizes; written under their own names.
+    """
+    values = {f"{name} [ms]": f"{value:.3f}" for name, value in stages.items()} | {
+        key: str(n) for key, n in numbers.items()
+    }
+    level, text = (OK, "traced") if missing is None else (missing.level, f"unknown: {missing.text}")
+    array = DiagnosticArray(status=[status(f"{node}: timing", level, text, values, hardware_id)])
+    array.header.stamp = stamp
+    return array

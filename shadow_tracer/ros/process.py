@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The program ``shadow_node`` around the node: signals, log streams, exit codes.
+
+Nothing is imported here that takes time, so that signals are under control before rclpy and the messages are imported.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from types import FrameType
+
+_STOP = (signal.SIGINT, signal.SIGTERM)
+
+
+class StopRequest:
+    """SIGINT and SIGTERM as a wish, not an interruption: they only set ``came``, which is asked after each callback.
+
+    KeyboardInterrupt may surface at any line, and rclpy's own handlers shut the context down under whatever is just
+    being published or logged; both leave words on stderr. Python runs this handler once the main thread is back from
+    waiting for messages, at the latest after :data:`node.MATCH_PERIOD`, the period of a timer that always runs.
+    """
+
+    def __init__(self) -> None:
+        self.came = False
+        self._handled = []
+        if threading.current_thread() is threading.main_thread():  # signals belong to it, and to whoever runs there
+            self._handled = [number for number in _STOP if signal.getsignal(number) is not signal.SIG_IGN]
+        for number in self._handled:
+            signal.signal(number, self._note)
+
+    def close(self) -> None:
+        """The process is about to end: nothing may interrupt it any more, not even while the interpreter goes down."""
+        for number in self._handled:
+            signal.signal(number, signal.SIG_IGN)
+
+    def _note(self, _number: int, _frame: FrameType | None) -> None:
+        self.came = True
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node. Returns the exit code: 0 after SIGINT or SIGTERM at any time, 1 if it could not start.
+
+    Args:
+        args: command line, ROS arguments included; ``sys.argv`` if None.
+    """
+    request = StopRequest()
+    # Log lines go to stdout unless the environment says otherwise, so that anything on stderr means trouble.
+    os.environ.setdefault("RCUTILS_LOGGING_USE_STDOUT", "1")
+    os.environ.setdefault("RCUTILS_LOGGING_BUFFERED_STREAM", "1")
+
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    from shadow_tracer.ros.node import ShadowNode, spin
+
+    node = None
+    code, joined = 0, True
+    try:
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+        node = ShadowNode()
+        code = spin(node, lambda: request.came)
+    except Exception as error:
+        code = 1
+        for line in (str(error) or type(error).__name__).splitlines():
+            print(f"[ERROR] [shadow_tracer]: {line}", file=sys.stderr)
+    request.close()
+    if node is not None:
+        joined = node.close()
+    rclpy.try_shutdown()
+    if not joined:
+        _leave(code)
+    return code
+
+
+def _leave(code: int) -> None:
+    """End the process without waiting for a thread that cannot be stopped: a compiler at work."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

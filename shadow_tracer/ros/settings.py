@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the parameters amount to once they are checked: frozen values the node works with. No ROS here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from shadow_tracer import Bias, Bounds, DirectionalLight, PointLight, SpotLight
+
+FloatArray = npt.NDArray[np.float64]
+Light = PointLight | SpotLight | DirectionalLight
+
+LIGHT_TYPES = ("point", "spot", "directional")
+
+
+@dataclass(frozen=True)
+class LightSettings:
+    """One light as the parameters ``lights.<name>.*`` describe it; geometry in its own frame."""
+
+    name: str
+    type: str
+    enabled: bool
+    frame: str
+    position: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    outer_angle: float
+    range: float
+
+    def light(self, frame_to_world: FloatArray) -> Light:
+        """The light in the world.
+
+        Args:
+            frame_to_world: (4, 4) rigid transform from the light's frame.
+
+        Raises:
+            ValueError: the values make no light; the message starts with the key.
+        """
+        position = frame_to_world[:3, :3] @ np.asarray(self.position) + frame_to_world[:3, 3]
+        direction = frame_to_world[:3, :3] @ np.asarray(self.direction)
+        reach = self.range if self.range > 0.0 else math.inf
+        if self.type == "point":
+            return PointLight(self.name, position, range=reach)
+        if self.type == "spot":
+            return SpotLight(self.name, position, direction, self.outer_angle, range=reach)
+        return DirectionalLight(self.name, direction)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All parameters of the node, checked and converted. Lengths in metres, times in seconds, angles in radians."""
+
+    pipeline: str
+    variant: str
+    device: str
+    fixed_frame: str
+    pose_source: str
+    camera_pose: tuple[float, ...]
+    tf_timeout: float
+    mesh_frame: str
+    mesh_max_age: float
+    camera_info_policy: str
+    lights: tuple[LightSettings, ...]
+    bias_constant: float
+    bias_quadratic: float
+    unknown_value: int
+    max_triangles: int
+    max_rays: int
+    max_lights: int
+    queue_capacity: int
+    diagnostics_period: float
+
+    @property
+    def bounds(self) -> Bounds:
+        """Capacities of the tracer's device buffers."""
+        return Bounds(
+            max_triangles=self.max_triangles,
+            max_rays=self.max_rays,
+            max_lights=self.max_lights,
+            queue_capacity=self.queue_capacity,
+        )
+
+    @property
+    def bias(self) -> Bias:
+        """Bias of the shadow test, ``constant + quadratic * z^2`` [m]."""
+        return Bias(constant=self.bias_constant, quadratic=self.bias_quadratic)
+
+    @property
+    def enabled_lights(self) -> tuple[LightSettings, ...]:
+        """The lights that shine."""
+        return tuple(light for light in self.lights if light.enabled)
+
+    @property
+    def tracer_device(self) -> str | None:
+        """Device as the tracer takes it: None is the best there is."""
+        return None if self.device == "auto" else self.device
+
+    @property
+    def needs_tf(self) -> bool:
+        """True if some frame can only be found through tf."""
+        frames = {self.mesh_frame, *(light.frame for light in self.enabled_lights)}
+        by_tf = self.pose_source == "tf" and bool(self.fixed_frame)
+        return by_tf or bool(frames - {"", self.fixed_frame})

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS tests stay on this machine, in a domain of their own, and write no log into the home directory."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+HERE = Path(__file__).parent
+WITHOUT_ROS = {"test_cdr.py", "test_parameters.py"}
+HAS_ROS = all(importlib.util.find_spec(name) for name in ("rclpy", "sensor_msgs", "shape_msgs", "diagnostic_msgs"))
+
+sys.path.insert(0, str(HERE))  # for tf_double
+
+# All this is read when a context is made, and must be there before rclpy is first imported.
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 101)
+os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="shadow_tracer_ros_log_")
+os.environ.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+
+
+class NeedsRos(pytest.Module):
+    """A module that is not imported, because there is no ROS here."""
+
+    def collect(self) -> NoReturn:
+        pytest.skip("needs rclpy and the ROS messages: pip install 'shadow_tracer[ros]'", allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module | None:
+    if HAS_ROS or module_path.name in WITHOUT_ROS:
+        return None
+    return NeedsRos.from_parent(parent, path=module_path)
+
+
+def pytest_collection_modifyitems(items: Iterable[pytest.Item]) -> None:
+    for item in items:
+        if item.path.parent == HERE and item.path.name not in WITHOUT_ROS:
+            item.add_marker("ros")

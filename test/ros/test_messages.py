@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages to numpy and back: every encoding and byte order, and every way an image or a camera_info can be wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, Pose
+from harness import image_msg, info_msg, plate
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image
+from shape_msgs.msg import Mesh, MeshTriangle
+
+from shadow_tracer.ros.cdr import encode_mesh, parse_mesh
+from shadow_tracer.ros.messages import MessageError, decode_depth, intrinsics, mask_image, pose_matrix, rigid
+
+MILLIMETRES = np.array([[0, 1, 700], [1500, 40000, 65535]], np.uint16)
+METRES = np.array([[0.0, np.nan, 0.7], [1.5, -np.inf, 1e-3]], np.float32)
+
+
+def depth_msg(values: np.ndarray, encoding: str, big: bool, padding: int) -> Image:
+    rows, columns = values.shape
+    step = columns * values.itemsize + padding
+    msg = Image(height=rows, width=columns, encoding=encoding, is_bigendian=int(big), step=step)
+    for row in values.astype(values.dtype.newbyteorder(">" if big else "<")):
+        msg.data.frombytes(row.tobytes() + b"\xab" * padding)
+    return msg
+
+
+@pytest.mark.parametrize("big", [False, True], ids=["little", "big"])
+@pytest.mark.parametrize("padding", [0, 1, 8])
+@pytest.mark.parametrize(
+    ("encoding", "values"),
+    [("16UC1", MILLIMETRES), ("mono16", MILLIMETRES), ("32FC1", METRES)],
+    ids=lambda v: str(v)[:6],
+)
+def test_depth_is_decoded(encoding: str, values: np.ndarray, padding: int, big: bool) -> None:
+    depth = decode_depth(depth_msg(values, encoding, big, padding))
+    assert depth.dtype == values.dtype and depth.dtype.isnative and depth.flags.c_contiguous
+    np.testing.assert_array_equal(depth, values)
+
+
+def test_plain_depth_is_not_copied() -> None:
+    msg = depth_msg(MILLIMETRES, "16UC1", False, 0)
+    assert np.shares_memory(decode_depth(msg), np.frombuffer(msg.data, np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"encoding": "rgb8"}, "encoding: expected one of 16UC1, mono16, 32FC1, got 'rgb8'"),
+        ({"encoding": ""}, "encoding: expected one of"),
+        ({"encoding": "32FC1"}, "step: expected at least 12 bytes for 3 pixels, got 6"),
+        ({"height": 0}, "width, height: expected 1 to 65536 pixels each, got 3 x 0"),
+        ({"width": 0}, "width, height: expected 1"),
+        ({"width": 2**32 - 1, "step": 2**32 - 1}, "width, height: expected 1"),
+        ({"step": 5}, "step: expected at least 6 bytes"),
+        ({"step": 0}, "step: expected at least 6 bytes"),
+        ({"step": 2**31}, "data: expected step * height"),
+        ({"height": 3}, "data: expected step * height = 18 bytes, got 12"),
+        ({"height": 65536}, "data: expected step * height"),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_bad_images_are_refused(change: dict[str, Any], message: str) -> None:
+    msg = depth_msg(MILLIMETRES, "16UC1", False, 0)
+    for name, value in change.items():
+        setattr(msg, name, value)
+    with pytest.raises(MessageError) as caught:
+        decode_depth(msg)
+    assert message in str(caught.value)
+
+
+def test_intrinsics_come_from_p_or_else_from_k() -> None:
+    info = info_msg(64, 48, 0)
+    info.p[0], info.p[2] = 70.0, 30.0
+    optics = intrinsics(info, 64, 48)
+    assert (optics.fx, optics.fy, optics.cx, optics.cy, optics.warning) == (70.0, 60.0, 30.0, 23.5, "")
+    info.p = [0.0] * 12
+    assert intrinsics(info, 64, 48).fx == 60.0
+    camera = optics.camera(np.eye(4))
+    assert (camera.width, camera.height, camera.fx) == (64, 48, 70.0)
+
+
+def test_distortion_is_a_warning() -> None:
+    info = info_msg(64, 48, 0)
+    info.d = [0.1, 0.0, 0.0, 0.0, 0.0]
+    assert "must be rectified" in intrinsics(info, 64, 48).warning
+
+
+@pytest.mark.parametrize(
+    ("field", "values", "message"),
+    [
+        ("k", {0: 0.0}, "uncalibrated"),
+        ("p", {0: float("nan")}, "camera_info.p: expected finite"),
+        ("p", {5: 0.0}, "camera_info.p: expected finite fx, fy > 0"),
+        ("p", {0: -60.0}, "camera_info.p"),
+        ("p", {2: float("inf")}, "camera_info.p"),
+    ],
+)
+def test_bad_camera_info_is_refused(field: str, values: dict[int, float], message: str) -> None:
+    info = info_msg(64, 48, 0)
+    matrix = getattr(info, field).copy()
+    for index, value in values.items():
+        matrix[index] = value
+    setattr(info, field, matrix)
+    with pytest.raises(MessageError, match=message):
+        intrinsics(info, 64, 48)
+
+
+def test_camera_info_of_another_size_is_refused() -> None:
+    with pytest.raises(MessageError, match="the image has 32 x 48 pixels, camera_info says 64 x 48"):
+        intrinsics(info_msg(64, 48, 0), 32, 48)
+
+
+def test_rigid_is_a_rotation() -> None:
+    half = np.sqrt(0.5)
+    turned = rigid((1, 2, 3), (0, 0, half, half), "pose")
+    np.testing.assert_allclose(turned @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-15)
+    loose = rigid((0, 0, 0), 0.995 * np.array([0.1, -0.5, 0.5, 0.7]), "pose")
+    np.testing.assert_allclose(loose[:3, :3] @ loose[:3, :3].T, np.eye(3), atol=1e-14)
+    np.testing.assert_array_equal(rigid((0, 0, 0), (0, 0, 0, 1), "pose"), np.eye(4))
+
+
+@pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (0, 0, 0, 2), (0, 0, np.nan, 1), (1, 1, 1, 1)])
+def test_no_unit_quaternion_is_refused(quaternion: tuple[float, ...]) -> None:
+    pose = Pose()
+    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = (float(v) for v in quaternion)
+    with pytest.raises(MessageError, match="^pose: expected"):
+        pose_matrix(pose, "pose")
+
+
+def test_mask_image_keeps_the_header() -> None:
+    depth = image_msg(np.ones((3, 5), np.float32), 12_345_678_901, "optical")
+    mask = np.arange(30, dtype=np.uint8).reshape(3, 10)[:, ::2]
+    msg = mask_image(mask, depth)
+    assert msg.header == depth.header
+    assert (msg.encoding, msg.height, msg.width, msg.step, msg.is_bigendian) == ("mono8", 3, 5, 5, 0)
+    assert bytes(msg.data) == mask.tobytes()
+
+
+@pytest.mark.parametrize("triangles", [0, 1, 2, 3])
+def test_raw_mesh_agrees_with_the_message_of_ros(triangles: int) -> None:
+    vertices, corners = plate()[0], np.array([(0, 1, 2), (0, 2, 3), (3, 2, 1)])[:triangles]
+    msg = Mesh()
+    msg.vertices = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in vertices]
+    msg.triangles = [MeshTriangle(vertex_indices=row.astype(np.uint32)) for row in corners]
+    parsed = parse_mesh(serialize_message(msg), 10)
+    np.testing.assert_array_equal(parsed.vertices, vertices)
+    np.testing.assert_array_equal(parsed.triangles, corners)
+    assert deserialize_message(encode_mesh(vertices, corners), Mesh) == msg
