@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+# Every target makes the virtual environment it needs by itself; nothing outside this folder is touched.
+VENV := .venv
+PY := $(VENV)/bin/python
+PROJECT_FILES := pyproject.toml setup.py setup.cfg
+
+EXTRAS_demo := ros,mesh,demo
+EXTRAS_test := ros,mesh,demo,test
+EXTRAS_dev := ros,mesh,demo,test,dev
+EXTRAS_benchmark := ros,mesh,demo,benchmark
+
+# A ROS 2 that is sourced in this shell, or the ROS wheels of another environment, must not mix with the wheels in .venv.
+unexport PYTHONPATH PYTHONHOME
+ifdef LD_LIBRARY_PATH
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport LD_LIBRARY_PATH
+else
+colon := :
+empty :=
+space := $(empty) $(empty)
+split = $(subst $(colon),$(space),$(1))
+LD_LIBRARY_PATH := $(subst $(space),$(colon),$(filter-out $(patsubst %,%/%,/opt/ros $(call split,$(AMENT_PREFIX_PATH))),$(call split,$(LD_LIBRARY_PATH))))
+endif
+endif
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
+
+# A name in PATH may be a stub that cannot run, or a Python without venv: each candidate is tried, not looked up.
+PYTHON_OK := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))
+FIND_PYTHON = for p in $(or $(PYTHON),python3.12 python3.11 python3.10 python3 python); do \
+	if "$$p" -c '$(PYTHON_OK)' >/dev/null 2>&1; then echo "$$p"; exit 0; fi; done; \
+	echo "No Python that fits: tried $(or $(PYTHON),python3.12 python3.11 python3.10 python3 python)." >&2; \
+	echo "Needed is Python 3.10, 3.11 or 3.12 with its venv module (Debian, Ubuntu: apt install python3-venv); name it with make PYTHON=/path/to/python." >&2; \
+	exit 1
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test lint format types wheel clean distclean FORCE
+
+help: ## this list
+	@echo "make <target>, with PYTHON=<interpreter> to choose the Python that .venv is made with"
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1@\2/p' Makefile | awk -F@ '{ printf "%-12s%s\n", $$1, $$2 }'
+
+demo: $(VENV)/.has-demo ## play a moving scene through the node, pictures into demo_output/; DATA=<folder> plays recorded depth images
+	@$(PY) -m shadow_tracer.apps.demo $(if $(DATA),--data "$(DATA)") $(ARGS)
+
+test: $(VENV)/.has-test ## all tests; ARGS="-k name" passes options to pytest
+	@$(PY) -m pytest -q $(ARGS)
+
+lint: $(VENV)/.has-dev ## ruff: rules and layout
+	@$(PY) -m ruff check .
+	@$(PY) -m ruff format --check .
+
+format: $(VENV)/.has-dev ## ruff: mend what can be mended
+	@$(PY) -m ruff check --fix .
+	@$(PY) -m ruff format .
+
+types: $(VENV)/.has-dev ## mypy
+	@$(PY) -m mypy
+
+wheel: $(VENV)/.has-dev ## source archive, and the wheel made from it, into dist/
+	@rm -rf build dist
+	@$(PY) -m build --outdir dist . >build.log || { cat build.log; exit 1; }
+	@rm build.log && ls dist/*
+
+clean: ## remove what was built, not .venv
+	rm -rf build install log dist demo_output *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
+
+distclean: clean ## remove .venv too
+	rm -rf $(VENV)
+
+# An environment whose Python has gone is made anew, and so is one made with another Python than the PYTHON=... wished for.
+IDENTITY := -c 'import sys; print(sys.base_prefix, sys.version)'
+ifneq ($(shell test -x $(PY) && echo there),there)
+$(VENV)/.made: FORCE
+else ifdef PYTHON
+ifneq ($(shell "$(PYTHON)" $(IDENTITY) 2>/dev/null),$(shell $(PY) $(IDENTITY) 2>/dev/null))
+$(VENV)/.made: FORCE
+endif
+endif
+
+$(VENV)/.made:
+	@python=$$($(FIND_PYTHON)) && echo "Making $(VENV) with $$("$$python" --version)" && "$$python" -m venv --clear $(VENV)
+	@touch $@
+
+# The package itself is installed editable: the sources here are what runs.
+$(VENV)/.has-%: $(VENV)/.made $(PROJECT_FILES)
+	@echo "Installing what '$*' needs into $(VENV) (the first time this loads about 300 MB)"
+	@$(PY) -m pip install -qq --disable-pip-version-check "pip>=22.3"
+	@$(PY) -m pip install -qq --disable-pip-version-check --editable ".[$(EXTRAS_$*)]"
+	@touch $@
