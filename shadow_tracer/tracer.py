@@ -19,7 +19,7 @@ import numpy.typing as npt
 from shadow_tracer.gpu.pipelines import resolve
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import BoundsError, FloatArray, finite
+from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, finite
 from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SpotLight
 from shadow_tracer.scene.mesh import Scene
 
@@ -60,8 +60,8 @@ class Bias:
     def __post_init__(self) -> None:
         for name in ("constant", "quadratic"):
             value = finite(getattr(self, name), f"bias.{name}")
-            if value < 0.0:
-                raise ValueError(f"bias.{name}: expected a number of at least 0, got {value!r}")
+            if not 0.0 <= value <= LARGEST:
+                raise ValueError(f"bias.{name}: expected a number from 0 to {LARGEST:g}, got {value!r}")
             object.__setattr__(self, name, value)
 
 
@@ -217,12 +217,12 @@ class ShadowTracer:
                 f"points: expected real numbers of shape (..., 3), got shape {positions.shape} of {positions.dtype}"
             )
         flat = np.ascontiguousarray(positions, dtype=np.float64).reshape(-1, 3)
-        finite_rows = np.isfinite(flat).all(axis=1)
+        finite_rows = (np.abs(flat) <= LARGEST).all(axis=1)
         if not finite_rows.all():
             bad = int(np.flatnonzero(~finite_rows)[0])
             where = tuple(int(k) for k in np.unravel_index(bad, positions.shape[:-1]))
             raise ValueError(
-                f"points: expected finite positions, got {flat[bad].tolist()} at index {where} "
+                f"points: expected finite positions of at most {LARGEST:g}, got {flat[bad].tolist()} at index {where} "
                 f"and {int((~finite_rows).sum())} such points in all; select the finite ones first"
             )
         _check_light(light, "light")

@@ -20,17 +20,14 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.buffers import EXACT, LEAF_TESTS, RETESTED, Change
-from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED, LightFrame
+from shadow_tracer.gpu.light_frame import PENDING, SHADOWED, LightFrame
 from shadow_tracer.gpu.shadow_test import (
     FILTER_BLOCK,
     MAGNITUDE_FLOOR,
-    MAYBE,
-    YES,
     decide,
-    enqueue,
-    filter_pair,
     is_ray,
     ray_magnitude,
+    test_everything,
 )
 from shadow_tracer.gpu.triangles import Context
 
@@ -52,28 +49,14 @@ def test_all_filtered(
     ray = rays[i]
     if not is_ray(state, ray) or (attempt > 0 and state != wp.uint8(PENDING)):
         return
-    skip = int(0)
-    if attempt == 2:
-        skip = resume[i]
-    magnitude = ray_magnitude(ray)
     queued = int(0)
-    tests = int(0)
-    result = int(LIT)
-    for t in range(triangle_count):
-        tests += 1
-        answer = filter_pair(ray, magnitude, records, t)
-        if answer == YES:
-            result = SHADOWED
-            break
-        if answer == MAYBE:
-            if queued >= skip:
-                if not enqueue(i, t, queue, queue_count):
-                    result = PENDING
-                    resume[i] = queued
-                    break
-            queued += 1
-    states[i] = wp.uint8(result)
-    wp.atomic_add(counters, i & 63, LEAF_TESTS, wp.int64(tests))
+    if attempt == 2:
+        queued = resume[i]
+    found = test_everything(i, ray, ray_magnitude(ray), queued, triangle_count, records, queue, queue_count)
+    if found[0] == PENDING:
+        resume[i] = found[1]
+    states[i] = wp.uint8(found[0])
+    wp.atomic_add(counters, i & 63, LEAF_TESTS, wp.int64(found[2]))
 
 
 # Samples per thread of the vectorised loop; their coordinates stay in the first-level cache.

@@ -166,6 +166,33 @@ def enqueue(sample: int, triangle: int, queue: wp.array(dtype=wp.vec2i), queue_c
     return True
 
 
+@wp.func
+def test_everything(
+    sample: int,
+    ray: wp.vec4,
+    magnitude: float,
+    queued: int,
+    triangle_count: int,
+    records: wp.array2d(dtype=wp.vec4),
+    queue: wp.array(dtype=wp.vec2i),
+    queue_count: wp.array(dtype=int),
+) -> wp.vec3i:
+    """One ray against all triangles: (state, pairs queued so far, tests); its first ``queued`` uncertain pairs are
+    skipped, they have been on the queue before."""
+    uncertain = int(0)
+    for t in range(triangle_count):
+        answer = filter_pair(ray, magnitude, records, t)
+        if answer == YES:
+            return wp.vec3i(SHADOWED, queued, t + 1)
+        if answer == MAYBE:
+            if uncertain >= queued:
+                if not enqueue(sample, t, queue, queue_count):
+                    return wp.vec3i(PENDING, queued, t + 1)
+                queued += 1
+            uncertain += 1
+    return wp.vec3i(LIT, queued, triangle_count)
+
+
 @wp.kernel(enable_backward=False)
 def resolve_queue(
     light: wp.vec4d,

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth image to samples: one sample per pixel, in the world, float64, in image order.
 
-A pixel is valid iff its depth is finite and positive (REP 117, REP 118): NaN, infinity, zero and negative values, and
-0 in millimetre images, never become samples. The operations are those of ``Camera.unproject`` in the same order
-without contraction, so a point computed there is the sample traced here, bit for bit.
+A pixel is valid iff its depth is finite and positive (REP 117, REP 118) and its sample no farther from the origin than
+coordinates may be: NaN, infinity, zero and negative values, and 0 in millimetre images, never become samples. The
+operations are those of ``Camera.unproject`` in the same order without contraction, so a point computed there is the
+sample traced here, bit for bit.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.exact import ARITHMETIC, transform_point
+from shadow_tracer.scene.checks import LARGEST
 
 
 @wp.struct
@@ -59,11 +61,13 @@ def unproject(
     if not (raw > wp.float64(0.0)) or not wp.isfinite(raw):
         valid[i] = wp.uint8(0)
         return
-    valid[i] = wp.uint8(1)
     row = i // camera.width
     local = pixel_sample(camera, wp.float64(i - row * camera.width), wp.float64(row), raw / units_per_metre)
     p = transform_point(camera.row0, camera.row1, camera.row2, wp.vec3d(local[0], local[1], local[2]))
     samples[i] = wp.vec4d(p[0], p[1], p[2], local[3])
+    valid[i] = wp.uint8(0)
+    if wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(p[2]), local[3])) <= wp.float64(LARGEST):
+        valid[i] = wp.uint8(1)
 
 
 wp.overload(unproject, {"depth": wp.array(dtype=wp.float32)})

@@ -12,6 +12,10 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 
+LARGEST = 1e30
+"""Coordinates and lengths beyond this [m] are refused: exact arithmetic needs room for their products."""
+
+
 class BoundsError(ValueError):
     """An input is larger than a declared capacity. The message names the bound; nothing was changed."""
 
@@ -22,8 +26,8 @@ def vector3(value: Any, field: str) -> FloatArray:
         vector = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{field}: expected three finite numbers, got {value!r}") from error
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ValueError(f"{field}: expected three finite numbers, got {value!r}")
+    if vector.shape != (3,) or not (np.abs(vector) <= LARGEST).all():
+        raise ValueError(f"{field}: expected three finite numbers of at most {LARGEST:g}, got {value!r}")
     return vector.copy()
 
 
@@ -56,8 +60,8 @@ def rigid_pose(value: Any, field: str) -> FloatArray:
         raise ValueError(f"{field}: expected a 4x4 rigid transform, got {type(value).__name__}") from error
     if pose.shape != (4, 4):
         raise ValueError(f"{field}: expected a 4x4 rigid transform, got shape {pose.shape}")
-    if not np.isfinite(pose).all():
-        raise ValueError(f"{field}: expected finite values, got NaN or infinity")
+    if not (np.abs(pose) <= LARGEST).all():
+        raise ValueError(f"{field}: expected finite values of at most {LARGEST:g}, got {float(np.abs(pose).max()):g}")
     if not np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)):
         raise ValueError(f"{field}: expected last row (0, 0, 0, 1), got {pose[3].tolist()}")
     rotation = pose[:3, :3]

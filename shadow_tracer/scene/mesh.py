@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.scene.bounds import Bounds
-from shadow_tracer.scene.checks import BoundsError, FloatArray, name_of, rigid_pose
+from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, name_of, rigid_pose
 
 IntArray = npt.NDArray[np.int32]
 
@@ -34,18 +34,25 @@ def _vertices(value: Any, nonfinite: str) -> FloatArray:
     if nonfinite not in ("refuse", "skip"):
         raise ValueError(f"nonfinite: expected 'refuse' or 'skip', got {nonfinite!r}")
     vertices = np.array(array, dtype=np.float64, order="C")
-    if nonfinite == "refuse" and not np.isfinite(vertices).all():
-        bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-        raise ValueError(
-            f"vertices: expected finite coordinates, got {vertices[bad].tolist()} at vertex {bad} "
-            "(nonfinite='skip' keeps such a mesh and lets the triangles at such vertices cast nothing)"
-        )
+    # NaN comes out of min and max and fails the comparison.
+    if vertices.size and not (vertices.min() >= -LARGEST and vertices.max() <= LARGEST):
+        good = (np.abs(vertices) <= LARGEST).all(axis=1)
+        if nonfinite == "refuse":
+            bad = int(np.flatnonzero(~good)[0])
+            raise ValueError(
+                f"vertices: expected finite coordinates of at most {LARGEST:g}, got {vertices[bad].tolist()} at vertex "
+                f"{bad} (nonfinite='skip' keeps such a mesh and lets the triangles at such vertices cast nothing)"
+            )
+        vertices[~good] = np.nan
     vertices.setflags(write=False)
     return vertices
 
 
 def _triangles(value: Any, vertex_count: int) -> IntArray:
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"triangles: expected an array of shape (T, 3), got ragged {type(value).__name__}") from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"triangles: expected shape (T, 3), got {array.shape}")
     if array.size and array.dtype.kind not in "iu":
@@ -159,7 +166,8 @@ class Scene:
             vertices: (V, 3) real numbers [m].
             triangles: (T, 3) integers from 0 to V - 1; T may be 0.
             pose: (4, 4) rigid transform to the world; identity if None.
-            nonfinite: "refuse" vertices with NaN or infinity, or "skip": the triangles at them cast nothing.
+            nonfinite: "refuse" vertices with NaN, infinity or coordinates beyond 1e30, or "skip": the triangles at them
+                cast nothing, and such vertices are stored as NaN.
 
         Raises:
             ValueError: an argument is malformed; the message names it and the first fault's position.
