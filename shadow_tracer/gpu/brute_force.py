@@ -208,6 +208,8 @@ class BruteForce:
     def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
         """Test every ray of the light against every triangle."""
         buffers, scene, stages = self._context.frame, self._context.scene, self._context.stages
+        with stages.stage("setup"):
+            self._context.records.prepare(frame)  # for float64 only to count the degenerate triangles
         if self._variant == "float64":
             with stages.stage("trace"):
                 wp.launch(
@@ -226,8 +228,6 @@ class BruteForce:
                     device=buffers.device,
                 )
             return
-        with stages.stage("setup"):
-            self._context.records.prepare(frame)
         arrays = [
             buffers.rays,
             buffers.records,

@@ -126,8 +126,7 @@ class Engine:
             states = np.stack([state[: frame.count].numpy() for state in frame.states[: len(lights)]])
             counters = frame.read_counters()
         counters["triangles"] = self._scene.triangle_count
-        if self._context.records.made:
-            counters["degenerate"] = int(frame.degenerate.numpy().sum())
+        counters["degenerate"] = int(frame.degenerate.numpy().sum()) if self._scene.triangle_count else 0
         counters["overflow_passes"] = passes
         self._pipeline.learn(counters)
         return Traced(states, self.stages.read(), counters)

@@ -5,9 +5,9 @@ Warp's own mesh query is not exact, for two reasons: its box test rounds (rays a
 mesh leak), and its triangle test is float32 from the sample's side. Here the tree only proposes triangles, the shadow
 test decides, and the boxes are padded so that no rounding can hide a triangle:
 
-Let E be the largest coordinate of the scene's box around its centre O. Boxes are made in float64 relative to O, padded
-by 2^-19 E and rounded outwards. A ray is clipped to the (padded) box of the scene in float64 first, so that its
-float32 start lies within E and its length within 2 sqrt(3) E. With u = 2^-24, start and direction then displace a
+Let E be the largest coordinate of the scene's box around its centre O. Boxes are made in float64 relative to O in units
+of E, padded by 2^-19 and rounded outwards. A ray is clipped to the (padded) box of the scene in float64 first, so that
+its float32 start lies within E and its length within 2 sqrt(3) E. With u = 2^-24, start and direction then displace a
 point of the ray by at most 5 u E per axis, and the slab test's three roundings displace a slab by at most 3 u * 2 E;
 together 11 u E, and the padding is 32 u E. Direction components below 1e-20 are replaced by 1e-20, so 1/0 and 0 *
 infinity cannot occur; that displaces a point by less than 1e-19 E. Clipping rounds by 2^-50 of the sample's distance
@@ -26,10 +26,9 @@ import warp as wp
 from shadow_tracer.gpu.buffers import LEAF_TESTS, NODES_VISITED, Change
 from shadow_tracer.gpu.light_frame import PENDING, LightFrame, towards_light
 from shadow_tracer.gpu.shadow_test import is_ray, ray_magnitude, test_everything
-from shadow_tracer.gpu.tree_walk import SceneBox, walk_ray
+from shadow_tracer.gpu.tree_walk import PADDING, SceneBox, walk_ray
 from shadow_tracer.gpu.triangles import Context
 
-_PADDING = 2.0**-19
 # Samples farther from the scene's centre than this many scene sizes do not use the tree.
 _FAR = 2.0**26
 # A refitted tree whose rays test this many times the triangles they tested after the last build is built again.
@@ -47,18 +46,19 @@ def triangle_boxes(
     """Padded boxes relative to the scene's centre, rounded outwards."""
     i = wp.tid()
     corners = triangles[i]
-    a = vertices[corners[0]] - box.center
-    b = vertices[corners[1]] - box.center
-    c = vertices[corners[2]] - box.center
+    a = (vertices[corners[0]] - box.center) * box.inverse_extent
+    b = (vertices[corners[1]] - box.center) * box.inverse_extent
+    c = (vertices[corners[2]] - box.center) * box.inverse_extent
     if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
         lowers[i] = wp.vec3(0.0, 0.0, 0.0)
         uppers[i] = wp.vec3(0.0, 0.0, 0.0)
         return
+    padding = wp.float64(PADDING)
     low = wp.min(wp.min(a, b), c)
     high = wp.max(wp.max(a, b), c)
     # The padding is 32 ulps of the largest coordinate, rounding to float32 half an ulp: outward by far.
-    lowers[i] = wp.vec3(float(low[0] - box.padding), float(low[1] - box.padding), float(low[2] - box.padding))
-    uppers[i] = wp.vec3(float(high[0] + box.padding), float(high[1] + box.padding), float(high[2] + box.padding))
+    lowers[i] = wp.vec3(float(low[0] - padding), float(low[1] - padding), float(low[2] - padding))
+    uppers[i] = wp.vec3(float(high[0] + padding), float(high[1] + padding), float(high[2] + padding))
 
 
 @wp.kernel(enable_backward=False)
@@ -89,8 +89,8 @@ def walk(
     magnitude = ray_magnitude(ray)
     sample = samples[i]
     p = wp.vec3d(sample[0], sample[1], sample[2])
-    start = p - box.center
-    if wp.max(wp.max(wp.abs(start[0]), wp.abs(start[1])), wp.abs(start[2])) > box.far:
+    start = (p - box.center) * box.inverse_extent
+    if wp.max(wp.max(wp.abs(start[0]), wp.abs(start[1])), wp.abs(start[2])) > wp.float64(_FAR):
         all = test_everything(i, ray, magnitude, queued, triangle_count, records, queue, queue_count)
         found = wp.vec4i(all[0], all[1], all[2], 0)
     else:
@@ -202,10 +202,9 @@ class MeshBvh:
 def _scene_box(low: np.ndarray, high: np.ndarray) -> SceneBox:
     center = 0.5 * low + 0.5 * high
     half = np.maximum(high - center, center - low)
-    extent = max(float(half.max()), 1e-30)
+    extent = max(float(half.max()), 1e-60)
     box = SceneBox()
     box.center = wp.vec3d(*center)
-    box.padding = _PADDING * extent
-    box.half = wp.vec3d(*(half + 2.0 * box.padding))
-    box.far = _FAR * extent
+    box.inverse_extent = 1.0 / extent
+    box.half = wp.vec3d(*(half / extent + 2.0 * PADDING))
     return box

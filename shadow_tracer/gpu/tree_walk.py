@@ -11,16 +11,18 @@ import warp as wp
 from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
 from shadow_tracer.gpu.shadow_test import FILTER, enqueue, test_everything
 
+# Padding of boxes in units of the scene's extent.
+PADDING = 2.0**-19
+
 
 @wp.struct
 class SceneBox:
-    """Centre and padded half size of the box that holds every triangle, the padding, and what counts as far away
-    [m]."""
+    """The box that holds every triangle: its centre [m], one over its largest half size, and its half size in units of
+    that, padded."""
 
     center: wp.vec3d
+    inverse_extent: wp.float64
     half: wp.vec3d
-    padding: wp.float64
-    far: wp.float64
 
 
 @wp.func
@@ -158,9 +160,9 @@ def walk_ray(
     queue: wp.array(dtype=wp.vec2i),
     queue_count: wp.array(dtype=int),
 ) -> wp.vec4i:
-    """(state, pairs queued so far, tests, nodes) of a ray that starts at ``start`` from the box's centre and goes
-    ``way`` (unit direction, length); its first ``queued`` uncertain pairs are skipped."""
-    span = wp.vec2d(wp.float64(0.0), way[3])
+    """(state, pairs queued so far, tests, nodes) of a ray that starts at ``start`` (from the box's centre, in units of
+    its extent) and goes ``way`` (unit direction, length [m]); its first ``queued`` uncertain pairs are skipped."""
+    span = wp.vec2d(wp.float64(0.0), way[3] * box.inverse_extent)
     span = clip_axis(span, start[0], way[0], box.half[0])
     span = clip_axis(span, start[1], way[1], box.half[1])
     span = clip_axis(span, start[2], way[2], box.half[2])
@@ -171,7 +173,7 @@ def walk_ray(
         entry = start + wp.vec3d(way[0], way[1], way[2]) * span[0]
         origin = wp.vec3(float(entry[0]), float(entry[1]), float(entry[2]))
         direction = wp.vec3(away_from_zero(way[0]), away_from_zero(way[1]), away_from_zero(way[2]))
-        longest = float((span[1] - span[0]) * wp.float64(1.0001) + box.padding)
+        longest = float((span[1] - span[0]) * wp.float64(1.0001) + wp.float64(PADDING))
         more = bool(True)
         while more:
             found = search(bvh, origin, direction, longest, records, ray, magnitude, queued)

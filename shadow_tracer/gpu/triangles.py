@@ -21,11 +21,6 @@ class TriangleRecords:
         self._scene = scene
         self._made_for: tuple[object, ...] | None = None
 
-    @property
-    def made(self) -> bool:
-        """Whether records have been made at all."""
-        return self._made_for is not None
-
     def prepare(self, frame: LightFrame) -> None:
         """Make the records for the light of ``frame`` unless they are there."""
         buffers, scene = self._frame, self._scene

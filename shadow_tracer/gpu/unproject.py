@@ -64,9 +64,9 @@ def unproject(
     row = i // camera.width
     local = pixel_sample(camera, wp.float64(i - row * camera.width), wp.float64(row), raw / units_per_metre)
     p = transform_point(camera.row0, camera.row1, camera.row2, wp.vec3d(local[0], local[1], local[2]))
-    samples[i] = wp.vec4d(p[0], p[1], p[2], local[3])
+    samples[i] = wp.vec4d(p[0], p[1], p[2], wp.min(local[3], wp.float64(LARGEST)))
     valid[i] = wp.uint8(0)
-    if wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(p[2]), local[3])) <= wp.float64(LARGEST):
+    if wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.abs(p[2])) <= wp.float64(LARGEST):
         valid[i] = wp.uint8(1)
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 
-LARGEST = 1e30
+LARGEST = 1e50
 """Coordinates and lengths beyond this [m] are refused: exact arithmetic needs room for their products."""
 
 

@@ -166,7 +166,7 @@ class Scene:
             vertices: (V, 3) real numbers [m].
             triangles: (T, 3) integers from 0 to V - 1; T may be 0.
             pose: (4, 4) rigid transform to the world; identity if None.
-            nonfinite: "refuse" vertices with NaN, infinity or coordinates beyond 1e30, or "skip": the triangles at them
+            nonfinite: "refuse" vertices with NaN, infinity or coordinates beyond 1e50, or "skip": the triangles at them
                 cast nothing, and such vertices are stored as NaN.
 
         Raises:
