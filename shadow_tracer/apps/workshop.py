@@ -143,8 +143,8 @@ def _markings() -> Part:
         (5.6, 7.7, 3.55, 3.62, robot.HAZARD),
         (5.6, 5.67, 3.55, 6.3, robot.HAZARD),
     ]
-    paint += [(x, x + 0.012, 0.0, WIDTH, (0.36, 0.35, 0.34)) for x in np.arange(2.0, LENGTH, 2.0)]
-    paint += [(0.0, LENGTH, y, y + 0.012, (0.36, 0.35, 0.34)) for y in np.arange(2.0, WIDTH, 2.0)]
+    paint += [(x, x + 0.012, 0.0, WIDTH, (0.36, 0.35, 0.34)) for x in np.arange(2.0, LENGTH, 2.0).tolist()]
+    paint += [(0.0, LENGTH, y, y + 0.012, (0.36, 0.35, 0.34)) for y in np.arange(2.0, WIDTH, 2.0).tolist()]
     return join(
         box((x1 - x0, y1 - y0, 0.002), c, centre=((x0 + x1) / 2, (y0 + y1) / 2, 0.001)) for x0, x1, y0, y1, c in paint
     )
@@ -153,7 +153,7 @@ def _markings() -> Part:
 def _walls() -> list[Part]:
     """Four walls that overlap at the corners; the south one (y = 0) has windows with glazing bars."""
     bands = [(1.15, WAINSCOT), (HEIGHT, PLASTER)]
-    starts = np.arange(1.0, LENGTH - 1.5, 2.5)
+    starts: list[float] = np.arange(1.0, LENGTH - 1.5, 2.5).tolist()
     windows = [(x + 0.2, x + 2.0, 1.25, 3.7) for x in starts]
     south = pierced_wall(LENGTH + 0.4, HEIGHT, 0.2, windows, bands).at(-0.2, 0, 0)
     parts = [south]
@@ -204,7 +204,7 @@ def _girders() -> list[Part]:
     rings = lathe([(0.235, 0), (0.27, 0), (0.27, 0.05), (0.235, 0.05)], GIRDER, 32, closed=True).moved(
         rotation("y", np.pi / 2)
     )
-    parts += [rings.at(x, 7.3, 4.25) for x in np.arange(1.5, 11.0, 1.5)]
+    parts += [rings.at(x, 7.3, 4.25) for x in np.arange(1.5, 11.0, 1.5).tolist()]
     return parts
 
 
