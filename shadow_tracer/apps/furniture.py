@@ -178,7 +178,7 @@ def conveyor(length: float, width: float = 0.8, height: float = 0.8) -> Part:
     for s in (-1, 1):
         parts.append(box((length, 0.06, 0.16), BLUE, 0.012, (length / 2, s * (width / 2 + 0.05), height - 0.03)))
     roller = across(cylinder(0.045, width, STEEL, 14).at(0, 0, -width / 2))
-    parts += [roller.at(x, 0, height - 0.045) for x in np.arange(0.1, length, 0.14)]
+    parts += [roller.at(x, 0, height - 0.045) for x in np.arange(0.1, length, 0.14).tolist()]
     for x in np.linspace(0.3, length - 0.3, 4).tolist():
         for s in (-1, 1):
             parts.append(box((0.08, 0.08, height - 0.1), DARK, 0.01, (x, s * (width / 2 + 0.02), (height - 0.1) / 2)))
