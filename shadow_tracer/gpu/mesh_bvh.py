@@ -24,9 +24,9 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer.gpu.buffers import LEAF_TESTS, NODES_VISITED, Change
-from shadow_tracer.gpu.light_frame import PENDING, LightFrame, towards_light
-from shadow_tracer.gpu.shadow_test import is_ray, ray_magnitude, test_everything
-from shadow_tracer.gpu.tree_walk import PADDING, SceneBox, walk_ray
+from shadow_tracer.gpu.light_frame import PENDING, SHADOWED, LightFrame, towards_light
+from shadow_tracer.gpu.shadow_test import YES, filter_pair, is_ray, ray_magnitude, test_everything
+from shadow_tracer.gpu.tree_walk import PADDING, Outcome, SceneBox, walk_ray
 from shadow_tracer.gpu.triangles import Context
 
 # Samples farther from the scene's centre than this many scene sizes do not use the tree.
@@ -74,6 +74,7 @@ def walk(
     queue: wp.array(dtype=wp.vec2i),
     queue_count: wp.array(dtype=int),
     resume: wp.array(dtype=int),
+    occluders: wp.array(dtype=int),
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
@@ -89,13 +90,20 @@ def walk(
     magnitude = ray_magnitude(ray)
     sample = samples[i]
     p = wp.vec3d(sample[0], sample[1], sample[2])
+    # What hid the neighbour mostly hides this sample too. Any triangle may be tried: a stale hint costs a test, no bit.
+    hint = occluders[wp.max(i - 1, 0)]
     start = (p - box.center) * box.inverse_extent
     if wp.max(wp.max(wp.abs(start[0]), wp.abs(start[1])), wp.abs(start[2])) > wp.float64(_FAR):
         all = test_everything(i, ray, magnitude, queued, triangle_count, records, queue, queue_count)
-        found = wp.vec4i(all[0], all[1], all[2], 0)
+        found = Outcome(all[0], all[1], all[2], 0, -1)
+    elif hint < triangle_count and filter_pair(ray, magnitude, records, hint) == YES:
+        found = Outcome(SHADOWED, queued, 1, 0, hint)
     else:
         way = towards_light(p, light)
         found = walk_ray(i, start, way, ray, magnitude, queued, triangle_count, bvh, box, records, queue, queue_count)
+    occluders[i] = hint
+    if found[4] >= 0:
+        occluders[i] = found[4]
     if found[0] == PENDING:
         resume[i] = found[1]
     states[i] = wp.uint8(found[0])
@@ -111,6 +119,7 @@ class MeshBvh:
         self._context = context
         self._lowers = wp.empty(context.frame.bounds.max_triangles, dtype=wp.vec3, device=context.frame.device)
         self._uppers = wp.empty(context.frame.bounds.max_triangles, dtype=wp.vec3, device=context.frame.device)
+        self._occluders = wp.zeros(context.frame.bounds.max_rays, dtype=int, device=context.frame.device)
         # Of the builders Warp offers on the CPU, cuBQL's is the fastest and its trees are as good as SAH's; on CUDA
         # only LBVH can be rebuilt on the device.
         self._constructor = "cubql" if context.frame.device.is_cpu else "lbvh"
@@ -179,6 +188,7 @@ class MeshBvh:
                     buffers.queue,
                     buffers.queue_count_of[light],
                     buffers.resume,
+                    self._occluders,
                     buffers.states[light],
                     buffers.counters,
                 ],
@@ -196,7 +206,7 @@ class MeshBvh:
 
     def nbytes(self) -> int:
         """Boxes and tree; Warp does not tell the size of a tree, which is two 32-byte nodes per triangle at most."""
-        return int(self._lowers.capacity + self._uppers.capacity) + 64 * self._built_count
+        return int(self._lowers.capacity + self._uppers.capacity + self._occluders.capacity) + 64 * self._built_count
 
 
 def _scene_box(low: np.ndarray, high: np.ndarray) -> SceneBox:

@@ -41,6 +41,7 @@ def clip_axis(span: wp.vec2d, start: wp.float64, way: wp.float64, half: wp.float
 # triangles found, and the first of them.
 _FOUND = 5
 Candidates = wp.types.vector(length=4 + _FOUND, dtype=wp.int32)
+Outcome = wp.types.vector(length=5, dtype=wp.int32)
 
 
 # Warp's own query iterator pushes both children untested and hands out boxes one by one; walking its nodes here,
@@ -87,6 +88,7 @@ Candidates = wp.types.vector(length=4 + _FOUND, dtype=wp.int32)
                     result[0] = 1;
                     result[1] = tests;
                     result[2] = nodes;
+                    result[4] = triangle;
                     return result;
                 }
                 if (answer == 2) {
@@ -132,7 +134,8 @@ def search(
     magnitude: float,
     skip: int,
 ) -> Candidates:
-    """(1 if certain, -1 if the tree is too deep; tests; nodes; uncertain triangles; five of them from ``skip`` on)."""
+    """(1 if certain, -1 if the tree is too deep; tests; nodes; uncertain triangles; five of them from ``skip`` on, or
+    the occluder if it is certain)."""
     ...
 
 
@@ -159,9 +162,10 @@ def walk_ray(
     records: wp.array2d(dtype=wp.vec4),
     queue: wp.array(dtype=wp.vec2i),
     queue_count: wp.array(dtype=int),
-) -> wp.vec4i:
-    """(state, pairs queued so far, tests, nodes) of a ray that starts at ``start`` (from the box's centre, in units of
-    its extent) and goes ``way`` (unit direction, length [m]); its first ``queued`` uncertain pairs are skipped."""
+) -> Outcome:
+    """(state, pairs queued so far, tests, nodes, occluder or -1) of a ray that starts at ``start`` (from the box's
+    centre, in units of its extent) and goes ``way`` (unit direction, length [m]); its first ``queued`` uncertain pairs
+    are skipped."""
     span = wp.vec2d(wp.float64(0.0), way[3] * box.inverse_extent)
     span = clip_axis(span, start[0], way[0], box.half[0])
     span = clip_axis(span, start[1], way[1], box.half[1])
@@ -169,6 +173,7 @@ def walk_ray(
     result = int(LIT)
     tests = int(0)
     nodes = int(0)
+    occluder = int(-1)
     if span[0] <= span[1]:
         entry = start + wp.vec3d(way[0], way[1], way[2]) * span[0]
         origin = wp.vec3(float(entry[0]), float(entry[1]), float(entry[2]))
@@ -182,9 +187,10 @@ def walk_ray(
             more = False
             if found[0] < 0:
                 all = test_everything(sample, ray, magnitude, queued, triangle_count, records, queue, queue_count)
-                return wp.vec4i(all[0], all[1], tests + all[2], nodes)
+                return Outcome(all[0], all[1], tests + all[2], nodes, -1)
             if found[0] > 0:
                 result = SHADOWED
+                occluder = found[4]
             else:
                 for k in range(wp.min(found[3] - queued, _FOUND)):
                     if result == LIT:
@@ -193,4 +199,4 @@ def walk_ray(
                         else:
                             result = PENDING
                 more = result == LIT and queued < found[3]
-    return wp.vec4i(result, queued, tests, nodes)
+    return Outcome(result, queued, tests, nodes, occluder)
