@@ -15,7 +15,7 @@ from O; a sample farther away than 2^26 E, where that would eat the padding, is 
 
 The tree is refitted while only positions change and rebuilt when the topology does. A refitted tree grows worse as
 things move, so it is rebuilt as well once rays test twice as many triangles as they did right after the last build.
-Variant ``rebuild`` rebuilds always.
+Variant ``rebuild`` rebuilds always; ``binary`` is ``refit`` without the wide form of the tree that the CPU uses.
 """
 
 from __future__ import annotations
@@ -23,16 +23,46 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from shadow_tracer.gpu.binary_tree import FOUND, search
 from shadow_tracer.gpu.buffers import LEAF_TESTS, NODES_VISITED, Change
-from shadow_tracer.gpu.light_frame import PENDING, SHADOWED, LightFrame, towards_light
-from shadow_tracer.gpu.shadow_test import YES, filter_pair, is_ray, ray_magnitude, test_everything
-from shadow_tracer.gpu.tree_walk import PADDING, Outcome, SceneBox, walk_ray
+from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED, LightFrame, towards_light
+from shadow_tracer.gpu.shadow_test import YES, enqueue, filter_pair, is_ray, ray_magnitude, test_everything
 from shadow_tracer.gpu.triangles import Context
+from shadow_tracer.gpu.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse, search_wide
 
 # Samples farther from the scene's centre than this many scene sizes do not use the tree.
 _FAR = 2.0**26
 # A refitted tree whose rays test this many times the triangles they tested after the last build is built again.
 _WORN_OUT = 2.0
+
+
+# State, pairs queued so far, triangles tested, nodes visited, and the occluder or -1.
+Outcome = wp.types.vector(length=5, dtype=wp.int32)
+
+
+# Padding of boxes in units of the scene's extent.
+_PADDING = 2.0**-19
+
+
+@wp.struct
+class SceneBox:
+    """The box that holds every triangle: its centre [m], one over its largest half size, and its half size in units of
+    that, padded."""
+
+    center: wp.vec3d
+    inverse_extent: wp.float64
+    half: wp.vec3d
+
+
+@wp.struct
+class Tree:
+    """The tree, its box, and the wide form of it (if ``wide`` is not 0)."""
+
+    bvh: wp.uint64
+    wide: int
+    bounds: wp.array(dtype=float)
+    links: wp.array(dtype=int)
+    box: SceneBox
 
 
 @wp.kernel(enable_backward=False)
@@ -53,7 +83,7 @@ def triangle_boxes(
         lowers[i] = wp.vec3(0.0, 0.0, 0.0)
         uppers[i] = wp.vec3(0.0, 0.0, 0.0)
         return
-    padding = wp.float64(PADDING)
+    padding = wp.float64(_PADDING)
     low = wp.min(wp.min(a, b), c)
     high = wp.max(wp.max(a, b), c)
     # The padding is 32 ulps of the largest coordinate, rounding to float32 half an ulp: outward by far.
@@ -61,12 +91,90 @@ def triangle_boxes(
     uppers[i] = wp.vec3(float(high[0] + padding), float(high[1] + padding), float(high[2] + padding))
 
 
+@wp.func
+def clip_axis(span: wp.vec2d, start: wp.float64, way: wp.float64, half: wp.float64) -> wp.vec2d:
+    """Part of the parameter interval ``span`` in which start + t * way lies within +-half."""
+    if wp.abs(way) < wp.float64(1.0e-20):
+        if wp.abs(start) > half:
+            return wp.vec2d(wp.float64(1.0), wp.float64(-1.0))
+        return span
+    t0 = (-half - start) / way
+    t1 = (half - start) / way
+    return wp.vec2d(wp.max(span[0], wp.min(t0, t1)), wp.min(span[1], wp.max(t0, t1)))
+
+
+@wp.func
+def away_from_zero(x: wp.float64) -> float:
+    """``x`` as float32, but never so small that its reciprocal is infinite."""
+    y = float(x)
+    if wp.abs(y) < 1.0e-20:
+        y = 1.0e-20
+    return y
+
+
+@wp.func
+def walk_ray(
+    sample: int,
+    start: wp.vec3d,
+    way: wp.vec4d,
+    ray: wp.vec4,
+    magnitude: float,
+    queued: int,
+    triangle_count: int,
+    tree: Tree,
+    records: wp.array2d(dtype=wp.vec4),
+    queue: wp.array(dtype=wp.vec2i),
+    queue_count: wp.array(dtype=int),
+) -> Outcome:
+    """(state, pairs queued so far, tests, nodes, occluder or -1) of a ray that starts at ``start`` (from the box's
+    centre, in units of its extent) and goes ``way`` (unit direction, length [m]); its first ``queued`` uncertain pairs
+    are skipped."""
+    span = wp.vec2d(wp.float64(0.0), way[3] * tree.box.inverse_extent)
+    span = clip_axis(span, start[0], way[0], tree.box.half[0])
+    span = clip_axis(span, start[1], way[1], tree.box.half[1])
+    span = clip_axis(span, start[2], way[2], tree.box.half[2])
+    result = int(LIT)
+    tests = int(0)
+    nodes = int(0)
+    occluder = int(-1)
+    if span[0] <= span[1]:
+        entry = start + wp.vec3d(way[0], way[1], way[2]) * span[0]
+        origin = wp.vec3(float(entry[0]), float(entry[1]), float(entry[2]))
+        direction = wp.vec3(away_from_zero(way[0]), away_from_zero(way[1]), away_from_zero(way[2]))
+        longest = float((span[1] - span[0]) * wp.float64(1.0001) + wp.float64(_PADDING))
+        more = bool(True)
+        while more:
+            if tree.wide != 0:
+                found = search_wide(
+                    tree.bvh, tree.bounds, tree.links, origin, direction, longest, records, ray, magnitude, queued
+                )
+            else:
+                found = search(tree.bvh, origin, direction, longest, records, ray, magnitude, queued)
+            tests += found[1]
+            nodes += found[2]
+            more = False
+            if found[0] < 0:
+                all = test_everything(sample, ray, magnitude, queued, triangle_count, records, queue, queue_count)
+                return Outcome(all[0], all[1], tests + all[2], nodes, -1)
+            if found[0] > 0:
+                result = SHADOWED
+                occluder = found[4]
+            else:
+                for k in range(wp.min(found[3] - queued, FOUND)):
+                    if result == LIT:
+                        if enqueue(sample, found[4 + k], queue, queue_count):
+                            queued += 1
+                        else:
+                            result = PENDING
+                more = result == LIT and queued < found[3]
+    return Outcome(result, queued, tests, nodes, occluder)
+
+
 @wp.kernel(enable_backward=False)
 def walk(
     attempt: int,
     triangle_count: int,
-    bvh: wp.uint64,
-    box: SceneBox,
+    tree: Tree,
     light: wp.vec4d,
     samples: wp.array(dtype=wp.vec4d),
     rays: wp.array(dtype=wp.vec4),
@@ -92,7 +200,7 @@ def walk(
     p = wp.vec3d(sample[0], sample[1], sample[2])
     # What hid the neighbour mostly hides this sample too. Any triangle may be tried: a stale hint costs a test, no bit.
     hint = occluders[wp.max(i - 1, 0)]
-    start = (p - box.center) * box.inverse_extent
+    start = (p - tree.box.center) * tree.box.inverse_extent
     if wp.max(wp.max(wp.abs(start[0]), wp.abs(start[1])), wp.abs(start[2])) > wp.float64(_FAR):
         all = test_everything(i, ray, magnitude, queued, triangle_count, records, queue, queue_count)
         found = Outcome(all[0], all[1], all[2], 0, -1)
@@ -100,7 +208,7 @@ def walk(
         found = Outcome(SHADOWED, queued, 1, 0, hint)
     else:
         way = towards_light(p, light)
-        found = walk_ray(i, start, way, ray, magnitude, queued, triangle_count, bvh, box, records, queue, queue_count)
+        found = walk_ray(i, start, way, ray, magnitude, queued, triangle_count, tree, records, queue, queue_count)
     occluders[i] = hint
     if found[4] >= 0:
         occluders[i] = found[4]
@@ -124,7 +232,13 @@ class MeshBvh:
         # only LBVH can be rebuilt on the device.
         self._constructor = "cubql" if context.frame.device.is_cpu else "lbvh"
         self._bvh: wp.Bvh | None = None
-        self._box = SceneBox()
+        # Vector registers make eight boxes as cheap as one on the CPU; CUDA threads walk the binary tree.
+        self._widens = context.frame.device.is_cpu and variant != "binary"
+        nodes = max(1024, context.frame.bounds.max_triangles // 4) if self._widens else 1
+        self._tree = Tree()
+        self._tree.bounds = wp.empty(nodes * BOUNDS_PER_NODE, dtype=float, device=context.frame.device)
+        self._tree.links = wp.empty(nodes * LINKS_PER_NODE, dtype=int, device=context.frame.device)
+        self._wide_nodes = wp.zeros(1, dtype=int, device=context.frame.device)
         self._version = -1
         self._built_count = 0
         self._fresh_tests: float | None = None  # tests per ray of the first frame after a build
@@ -143,11 +257,11 @@ class MeshBvh:
             return
         rebuild = self._variant == "rebuild" or not seen_all or change == Change.TOPOLOGY or self._worn_out
         with self._context.stages.stage("build"):
-            self._box = _scene_box(scene.low, scene.high)
+            self._tree.box = _scene_box(scene.low, scene.high)
             wp.launch(
                 triangle_boxes,
                 dim=count,
-                inputs=[self._box, scene.vertices, scene.triangles, self._lowers, self._uppers],
+                inputs=[self._tree.box, scene.vertices, scene.triangles, self._lowers, self._uppers],
                 device=device,
             )
             if self._bvh is None or count != self._built_count:
@@ -161,6 +275,12 @@ class MeshBvh:
                 self._bvh.rebuild()
             else:
                 self._bvh.refit()
+            self._tree.bvh = self._bvh.id
+            self._tree.wide = 0
+            if self._widens:
+                inputs = [self._bvh.id, self._tree.bounds, self._tree.links, self._wide_nodes]
+                wp.launch(collapse, dim=1, inputs=inputs, device=device)
+                self._tree.wide = int(self._wide_nodes.numpy()[0] > 0)
         if rebuild:
             self._fresh_tests = None
             self._worn_out = False
@@ -179,8 +299,7 @@ class MeshBvh:
                 inputs=[
                     attempt,
                     self._context.scene.triangle_count,
-                    self._bvh.id,
-                    self._box,
+                    self._tree,
                     frame.light,
                     buffers.samples,
                     buffers.rays,
@@ -205,8 +324,9 @@ class MeshBvh:
         self._worn_out = tests > _WORN_OUT * max(self._fresh_tests, 1.0)
 
     def nbytes(self) -> int:
-        """Boxes and tree; Warp does not tell the size of a tree, which is two 32-byte nodes per triangle at most."""
-        return int(self._lowers.capacity + self._uppers.capacity + self._occluders.capacity) + 64 * self._built_count
+        """Boxes and trees; Warp does not tell the size of its own, which is two 32-byte nodes per triangle at most."""
+        arrays = (self._lowers, self._uppers, self._occluders, self._tree.bounds, self._tree.links)
+        return sum(int(array.capacity) for array in arrays) + 64 * self._built_count
 
 
 def _scene_box(low: np.ndarray, high: np.ndarray) -> SceneBox:
@@ -216,5 +336,5 @@ def _scene_box(low: np.ndarray, high: np.ndarray) -> SceneBox:
     box = SceneBox()
     box.center = wp.vec3d(*center)
     box.inverse_extent = 1.0 / extent
-    box.half = wp.vec3d(*(half / extent + 2.0 * PADDING))
+    box.half = wp.vec3d(*(half / extent + 2.0 * _PADDING))
     return box

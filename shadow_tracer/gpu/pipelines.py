@@ -43,7 +43,7 @@ class PipelineEntry:
 
 REGISTRY: dict[str, PipelineEntry] = {
     "mesh_bvh": PipelineEntry(
-        ("refit", "rebuild"),
+        ("refit", "rebuild", "binary"),
         "shadow_tracer.gpu.mesh_bvh",
         "MeshBvh",
         "bounding volume hierarchy over the triangles, refitted while only positions change",

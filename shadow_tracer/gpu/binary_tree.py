@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Walking a ray through a ``wp.Bvh`` with the shadow test's filter at the leaves.
+"""Walking a ray through a ``wp.Bvh`` with the shadow test's filter at the leaves: the search that CUDA uses.
 
 Why no triangle can be missed is in ``mesh_bvh.py``.
 """
@@ -8,40 +8,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
-from shadow_tracer.gpu.shadow_test import FILTER, enqueue, test_everything
-
-# Padding of boxes in units of the scene's extent.
-PADDING = 2.0**-19
-
-
-@wp.struct
-class SceneBox:
-    """The box that holds every triangle: its centre [m], one over its largest half size, and its half size in units of
-    that, padded."""
-
-    center: wp.vec3d
-    inverse_extent: wp.float64
-    half: wp.vec3d
-
-
-@wp.func
-def clip_axis(span: wp.vec2d, start: wp.float64, way: wp.float64, half: wp.float64) -> wp.vec2d:
-    """Part of the parameter interval ``span`` in which start + t * way lies within +-half."""
-    if wp.abs(way) < wp.float64(1.0e-20):
-        if wp.abs(start) > half:
-            return wp.vec2d(wp.float64(1.0), wp.float64(-1.0))
-        return span
-    t0 = (-half - start) / way
-    t1 = (half - start) / way
-    return wp.vec2d(wp.max(span[0], wp.min(t0, t1)), wp.min(span[1], wp.max(t0, t1)))
-
+from shadow_tracer.gpu.shadow_test import FILTER
 
 # What a walk through the tree found: whether an occluder is certain, triangles tested, nodes visited, uncertain
 # triangles found, and the first of them.
-_FOUND = 5
-Candidates = wp.types.vector(length=4 + _FOUND, dtype=wp.int32)
-Outcome = wp.types.vector(length=5, dtype=wp.int32)
+FOUND = 5
+Candidates = wp.types.vector(length=4 + FOUND, dtype=wp.int32)
 
 
 # Warp's own query iterator pushes both children untested and hands out boxes one by one; walking its nodes here,
@@ -137,66 +109,3 @@ def search(
     """(1 if certain, -1 if the tree is too deep; tests; nodes; uncertain triangles; five of them from ``skip`` on, or
     the occluder if it is certain)."""
     ...
-
-
-@wp.func
-def away_from_zero(x: wp.float64) -> float:
-    """``x`` as float32, but never so small that its reciprocal is infinite."""
-    y = float(x)
-    if wp.abs(y) < 1.0e-20:
-        y = 1.0e-20
-    return y
-
-
-@wp.func
-def walk_ray(
-    sample: int,
-    start: wp.vec3d,
-    way: wp.vec4d,
-    ray: wp.vec4,
-    magnitude: float,
-    queued: int,
-    triangle_count: int,
-    bvh: wp.uint64,
-    box: SceneBox,
-    records: wp.array2d(dtype=wp.vec4),
-    queue: wp.array(dtype=wp.vec2i),
-    queue_count: wp.array(dtype=int),
-) -> Outcome:
-    """(state, pairs queued so far, tests, nodes, occluder or -1) of a ray that starts at ``start`` (from the box's
-    centre, in units of its extent) and goes ``way`` (unit direction, length [m]); its first ``queued`` uncertain pairs
-    are skipped."""
-    span = wp.vec2d(wp.float64(0.0), way[3] * box.inverse_extent)
-    span = clip_axis(span, start[0], way[0], box.half[0])
-    span = clip_axis(span, start[1], way[1], box.half[1])
-    span = clip_axis(span, start[2], way[2], box.half[2])
-    result = int(LIT)
-    tests = int(0)
-    nodes = int(0)
-    occluder = int(-1)
-    if span[0] <= span[1]:
-        entry = start + wp.vec3d(way[0], way[1], way[2]) * span[0]
-        origin = wp.vec3(float(entry[0]), float(entry[1]), float(entry[2]))
-        direction = wp.vec3(away_from_zero(way[0]), away_from_zero(way[1]), away_from_zero(way[2]))
-        longest = float((span[1] - span[0]) * wp.float64(1.0001) + wp.float64(PADDING))
-        more = bool(True)
-        while more:
-            found = search(bvh, origin, direction, longest, records, ray, magnitude, queued)
-            tests += found[1]
-            nodes += found[2]
-            more = False
-            if found[0] < 0:
-                all = test_everything(sample, ray, magnitude, queued, triangle_count, records, queue, queue_count)
-                return Outcome(all[0], all[1], tests + all[2], nodes, -1)
-            if found[0] > 0:
-                result = SHADOWED
-                occluder = found[4]
-            else:
-                for k in range(wp.min(found[3] - queued, _FOUND)):
-                    if result == LIT:
-                        if enqueue(sample, found[4 + k], queue, queue_count):
-                            queued += 1
-                        else:
-                            result = PENDING
-                more = result == LIT and queued < found[3]
-    return Outcome(result, queued, tests, nodes, occluder)
