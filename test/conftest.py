@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures of the core suite: every test that takes `tracer` runs on every device found and on every pipeline and
+variant there is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+# Small enough to be made once per pipeline, large enough for every real mesh of the suite.
+BOUNDS = {
+    "max_triangles": 400_000,
+    "max_rays": 80_000,
+    "max_lights": 16,
+    "queue_capacity": 200_000,
+    "grid_entries": 1_000_000,
+}
+
+
+def _devices() -> list[str]:
+    """Asked once, at collection: "cpu", and "cuda:0" where Warp sees one. SHADOW_TRACER_TEST_DEVICES=cpu,cuda:0
+    overrides."""
+    named = os.environ.get("SHADOW_TRACER_TEST_DEVICES")
+    if named:
+        return named.split(",")
+    import warp
+
+    warp.config.quiet = True
+    return ["cpu", "cuda:0"] if warp.is_cuda_available() else ["cpu"]
+
+
+def _cases() -> list[tuple[str, str, str]]:
+    from shadow_tracer import available_pipelines
+
+    return [
+        (device, name, variant)
+        for device in _devices()
+        for name, variants in available_pipelines().items()
+        for variant in variants
+    ]
+
+
+class Tracers:
+    """Tracers by (device, pipeline, variant) with the suite's bounds; made on first use, emptied on every request."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[str, str, str], Any] = {}
+
+    def __call__(self, device: str, pipeline: str, variant: str) -> Any:
+        from shadow_tracer import Bounds, ShadowTracer
+
+        key = (device, pipeline, variant)
+        if key not in self._made:
+            self._made[key] = ShadowTracer(pipeline=pipeline, variant=variant, device=device, bounds=Bounds(**BOUNDS))
+        self._made[key].scene.clear()
+        return self._made[key]
+
+
+@pytest.fixture(scope="session")
+def tracers() -> Tracers:
+    return Tracers()
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "tracer_case" in metafunc.fixturenames:
+        cases = _cases()
+        metafunc.parametrize("tracer_case", cases, ids=["-".join(case) for case in cases], scope="session")
+    elif "any_device" in metafunc.fixturenames:
+        metafunc.parametrize("any_device", _devices(), scope="session")
+
+
+@pytest.fixture
+def tracer(tracers: Tracers, tracer_case: tuple[str, str, str]) -> Iterator[Any]:
+    """A tracer with an empty scene, for each device, pipeline and variant."""
+    made = tracers(*tracer_case)
+    yield made
+    made.scene.clear()
+
+
+@pytest.fixture
+def reference(tracers: Tracers, any_device: str) -> Iterator[Any]:
+    """A brute_force tracer with an empty scene, for each device."""
+    made = tracers(any_device, "brute_force", "filtered")
+    yield made
+    made.scene.clear()

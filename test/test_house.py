@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rules of the house: imports run downwards, nothing heavy is imported early, files and functions keep their
+size."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_ROOT = Path(__file__).resolve().parent.parent
+_PACKAGE = _ROOT / "shadow_tracer"
+_MODULES = sorted(_PACKAGE.rglob("*.py"))
+_IDS = [path.relative_to(_ROOT).as_posix() for path in _MODULES]
+
+# What each room may use of the package, by the start of the module's name. What is not listed, the room may not import.
+_MAY_USE = {
+    "scene": ("shadow_tracer.scene",),
+    "gpu": ("shadow_tracer.gpu", "shadow_tracer.scene"),
+    "tracer": ("shadow_tracer.gpu", "shadow_tracer.scene"),
+    "__init__": ("shadow_tracer.tracer", "shadow_tracer.gpu.pipelines", "shadow_tracer.scene"),
+    "ros": ("shadow_tracer.ros", "shadow_tracer.tracer", "shadow_tracer.gpu.pipelines", "shadow_tracer.scene"),
+    "apps": (
+        "shadow_tracer.apps",
+        "shadow_tracer.ros",
+        "shadow_tracer.tracer",
+        "shadow_tracer.gpu.pipelines",
+        "shadow_tracer.scene",
+    ),
+}
+_ROS = (
+    "rclpy",
+    "sensor_msgs",
+    "shape_msgs",
+    "geometry_msgs",
+    "std_msgs",
+    "visualization_msgs",
+    "diagnostic_msgs",
+    "std_srvs",
+    "tf2_ros",
+)
+_FOREIGN = {
+    "scene": ("warp", *_ROS),
+    "gpu": _ROS,
+    "tracer": ("warp", *_ROS),
+    "__init__": ("warp", *_ROS),
+    "ros": ("warp",),
+    "apps": ("warp",),
+}
+
+
+def _imports(path: Path) -> set[str]:
+    """Full names of all modules a file imports, wherever in the file; `from a import b` counts as a and, if b is a
+    module, a.b."""
+    parts = path.relative_to(_ROOT).with_suffix("").parts
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = (
+                ".".join([*parts[: len(parts) - node.level], *([node.module] if node.module else [])])
+                if node.level
+                else node.module or ""
+            )
+            names.add(base)
+            for alias in node.names:
+                inner = _ROOT / base.replace(".", "/") / alias.name
+                if inner.with_suffix(".py").exists() or inner.is_dir():
+                    names.add(f"{base}.{alias.name}")
+    return names
+
+
+def _within(name: str, prefixes: tuple[str, ...]) -> bool:
+    return any(name == prefix or name.startswith(prefix + ".") for prefix in prefixes)
+
+
+def _room(path: Path) -> str:
+    return path.relative_to(_PACKAGE).with_suffix("").parts[0]
+
+
+@pytest.mark.parametrize("path", _MODULES, ids=_IDS)
+def test_arrows_run_down(path: Path) -> None:
+    room = _room(path)
+    assert room in _MAY_USE, f"{room}: a room the house does not know"
+    for name in _imports(path):
+        if _within(name, ("shadow_tracer",)) and name != "shadow_tracer":
+            # the bare room of an allowed module appears where `from shadow_tracer.gpu import pipelines` is written
+            assert _within(name, _MAY_USE[room]) or any(allowed.startswith(name + ".") for allowed in _MAY_USE[room]), (
+                f"{room} reaches {name}"
+            )
+        if name == "shadow_tracer":
+            assert room in ("ros", "apps"), f"{room} reaches the whole package"
+        assert not _within(name, _FOREIGN[room]), f"{room} imports {name}"
+
+
+def test_pipelines_do_not_know_each_other() -> None:
+    from shadow_tracer.gpu.pipelines import REGISTRY
+
+    homes = {name: entry.module for name, entry in REGISTRY.items()}
+    for name, module in homes.items():
+        stem = _ROOT / module.replace(".", "/")
+        files = [stem.with_suffix(".py")] if stem.with_suffix(".py").exists() else sorted(stem.rglob("*.py"))
+        assert files, f"{name}: no such module {module}"
+        for path in files:
+            for other, other_module in homes.items():
+                assert other == name or not any(_within(used, (other_module,)) for used in _imports(path)), (
+                    f"{path} reaches {other_module}"
+                )
+
+
+@pytest.mark.parametrize("path", _MODULES, ids=_IDS)
+def test_sizes(path: Path) -> None:
+    text = path.read_text()
+    assert text.count("\n") <= 420, "a file holds one concept, in about 400 lines"
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            length = (node.end_lineno or node.lineno) - node.lineno + 1
+            assert length <= 62, f"{node.name} has {length} lines, about 60 are allowed"
+
+
+_SOURCES = [*_MODULES, *sorted((_ROOT / "test").rglob("*.py")), *sorted((_ROOT / "benchmark").rglob("*.py"))]
+
+
+@pytest.mark.parametrize("path", _SOURCES, ids=lambda path: path.relative_to(_ROOT).as_posix())
+def test_licence_header(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    first = lines[1] if lines and lines[0].startswith("#!") else lines[0]
+    assert first == "# SPDX-License-Identifier: Apache-2.0"
+
+
+_BLOCKER = """
+import sys, time
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {blocked!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Blocker())
+sys.path.insert(0, {root!r})
+begin = time.perf_counter()
+import shadow_tracer
+print("seconds", time.perf_counter() - begin)
+"""
+
+
+def _child(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_import_needs_neither_warp_nor_ros_and_is_quick() -> None:
+    code = _BLOCKER.format(blocked={"warp", "trimesh", "PIL", "scipy", "matplotlib", "rich", *_ROS}, root=str(_ROOT))
+    seconds = []
+    for _ in range(5):
+        done = _child(code)
+        assert done.returncode == 0, done.stderr
+        seconds.append(float(done.stdout.split()[1]))
+        if seconds[-1] < 0.5:
+            break
+    assert min(seconds) < 0.5, f"import took {seconds} s"
+
+
+def test_without_warp_the_error_says_what_to_install() -> None:
+    code = _BLOCKER.format(blocked={"warp"}, root=str(_ROOT)) + "\nshadow_tracer.ShadowTracer()\n"
+    done = _child(code)
+    assert (
+        done.returncode == 1
+        and "ImportError" in done.stderr.splitlines()[-1]
+        and "warp-lang" in done.stderr.splitlines()[-1]
+    ), done.stderr
+
+
+def test_scene_and_lights_work_without_warp() -> None:
+    code = _BLOCKER.format(blocked={"warp"}, root=str(_ROOT)) + (
+        "\nscene = shadow_tracer.Scene()\nscene.put('a', [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])\n"
+        "shadow_tracer.Camera(4, 3, 1, 1, 0, 0).unproject([[1.0] * 4] * 3)\n"
+        "print('names', *shadow_tracer.available_pipelines())\n"
+    )
+    done = _child(code)
+    assert done.returncode == 0, done.stderr
+    assert "mesh_bvh" in done.stdout and "brute_force" in done.stdout
