@@ -146,8 +146,18 @@ def _fill_in(chosen: argparse.Namespace) -> None:
         chosen.frames = CUDA_FRAMES if cuda else CPU_FRAMES
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+class _Interrupts:
+    """Turns SIGINT and SIGTERM into KeyboardInterrupt, and remembers: inside rclpy's C++ it comes out as another error."""
+
+    def __init__(self) -> None:
+        self.came = False
+        # also SIGINT: a shell without job control starts its children with it ignored
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._raise)
+
+    def _raise(self, number: int, frame: FrameType | None) -> None:
+        self.came = True
+        raise KeyboardInterrupt
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -159,18 +169,19 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     from shadow_tracer.apps.recording import DemoError
 
-    # a shell without job control starts its children with SIGINT ignored
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, _interrupt)
+    interrupts = _Interrupts()
     try:
         perform(chosen)
+    except KeyboardInterrupt:
+        pass
     except ValueError as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2
     except (DemoError, RuntimeError) as error:
-        print(f"demo: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
+        if not interrupts.came:
+            print(f"demo: {error}", file=sys.stderr)
+            return 1
+    if interrupts.came:
         print("demo: interrupted", file=sys.stderr)
         return 130
     return 0

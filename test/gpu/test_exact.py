@@ -25,7 +25,9 @@ def signs(
 
 def device_signs(device, q, r, s, o):
     out = wp.zeros(len(q), dtype=int, device=device)
-    arrays = [wp.array(q, dtype=wp.vec4d, device=device)] + [wp.array(v, dtype=wp.vec3d, device=device) for v in (r, s, o)]
+    arrays = [wp.array(q, dtype=wp.vec4d, device=device)] + [
+        wp.array(v, dtype=wp.vec3d, device=device) for v in (r, s, o)
+    ]
     wp.launch(signs, dim=len(q), inputs=[*arrays, out], device=device)
     return out.numpy()
 

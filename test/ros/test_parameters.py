@@ -32,7 +32,7 @@ BAD = [
     ("pipeline", "cone", "pipeline: expected string (mesh_bvh, brute_force), got 'cone'"),
     ("pipeline", 3, "pipeline: expected string"),
     ("variant", "fast", "variant: expected string"),
-    ("variant", "float64", "variant: expected one of refit, rebuild for pipeline mesh_bvh"),
+    ("variant", "float64", "variant: expected one of refit, rebuild, binary for pipeline mesh_bvh"),
     ("device", "gpu", "device: expected string (auto, cpu, cuda:N), got 'gpu'"),
     ("device", "cuda", "device: expected string"),
     ("fixed_frame", "/map", 'fixed_frame: expected string (a tf frame without leading "/"'),
