@@ -147,7 +147,7 @@ def _fill_in(chosen: argparse.Namespace) -> None:
 
 
 class _Interrupts:
-    """Turns SIGINT and SIGTERM into KeyboardInterrupt, and remembers: inside rclpy's C++ it comes out as another error."""
+    """Turns SIGINT and SIGTERM into KeyboardInterrupt and remembers it: out of rclpy comes another error."""
 
     def __init__(self) -> None:
         self.came = False
