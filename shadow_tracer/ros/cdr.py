@@ -42,7 +42,8 @@ class MeshMessage:
     def same_topology(self, block: npt.NDArray[np.uint32], vertex_count: int) -> bool:
         """True if a mesh with this triangle block and number of vertices differs from this one in positions at most."""
         same_layout = len(self.vertices) == vertex_count and self.block.dtype == block.dtype
-        return same_layout and bool(np.array_equal(self.block, block))
+        # Another topology mostly differs from the first triangle on; that is told without reading all of them.
+        return same_layout and np.array_equal(self.block[:192], block[:192]) and np.array_equal(self.block, block)
 
 
 def _count(data: bytes, offset: int, order: str, what: str) -> int:
@@ -111,20 +112,24 @@ def _triangles(block: npt.NDArray[np.uint32], vertex_count: int) -> npt.NDArray[
             f"triangles: index {int(block[bad])} of triangle {bad // 3}, corner {bad % 3} is out of range, "
             f"the mesh has {vertex_count} vertices"
         )
-    return block.astype(np.int32).reshape(-1, 3)
+    triangles = np.empty((len(block) // 3, 3), np.int32)
+    triangles.reshape(-1)[:] = block
+    triangles.setflags(write=False)  # the scene keeps a read-only array instead of copying it
+    return triangles
 
 
 def _vertices(data: bytes, first: int, count: int, order: str) -> npt.NDArray[np.float64]:
     if count == 0:
         return np.empty((0, 3))
     # The block starts at 4 modulo 8 in memory: copied, it is aligned and in native byte order.
-    vertices = np.frombuffer(data, order + "f8", 3 * count, first).astype(np.float64).reshape(count, 3)
-    finite = np.isfinite(vertices)
-    if not finite.all():
-        bad = int(np.flatnonzero(~finite.ravel())[0])
+    vertices = np.empty((count, 3))
+    vertices.reshape(-1)[:] = np.frombuffer(data, order + "f8", 3 * count, first)
+    if not (np.isfinite(vertices.min()) and np.isfinite(vertices.max())):  # NaN comes out of both
+        bad = int(np.flatnonzero(~np.isfinite(vertices.ravel()))[0])
         raise MeshMessageError(
             f"vertices: coordinate {'xyz'[bad % 3]} of vertex {bad // 3} is {vertices.flat[bad]}, not finite"
         )
+    vertices.setflags(write=False)
     return vertices
 
 

@@ -22,6 +22,13 @@ IntArray = npt.NDArray[np.int32]
 _serial = itertools.count(1)
 
 
+def _own(array: npt.NDArray[Any], dtype: Any) -> npt.NDArray[Any]:
+    """A copy of ``array`` that nobody else can change; the array itself if nobody can."""
+    if array.dtype == dtype and array.flags.c_contiguous and array.flags.owndata and not array.flags.writeable:
+        return array
+    return np.array(array, dtype=dtype, order="C")
+
+
 def _vertices(value: Any, nonfinite: str) -> FloatArray:
     try:
         array = np.asarray(value)
@@ -33,7 +40,7 @@ def _vertices(value: Any, nonfinite: str) -> FloatArray:
         raise ValueError(f"vertices: expected real numbers, got dtype {array.dtype}")
     if nonfinite not in ("refuse", "skip"):
         raise ValueError(f"nonfinite: expected 'refuse' or 'skip', got {nonfinite!r}")
-    vertices = np.array(array, dtype=np.float64, order="C")
+    vertices = _own(array, np.float64)
     # NaN comes out of min and max and fails the comparison.
     if vertices.size and not (vertices.min() >= -LARGEST and vertices.max() <= LARGEST):
         good = (np.abs(vertices) <= LARGEST).all(axis=1)
@@ -43,7 +50,7 @@ def _vertices(value: Any, nonfinite: str) -> FloatArray:
                 f"vertices: expected finite coordinates of at most {LARGEST:g}, got {vertices[bad].tolist()} at vertex "
                 f"{bad} (nonfinite='skip' keeps such a mesh and lets the triangles at such vertices cast nothing)"
             )
-        vertices[~good] = np.nan
+        vertices = np.where(good[:, None], vertices, np.nan)
     vertices.setflags(write=False)
     return vertices
 
@@ -66,9 +73,14 @@ def _triangles(value: Any, vertex_count: int) -> IntArray:
                 f"triangles: expected indices from 0 to {vertex_count - 1}, got {int(array[row, column])} "
                 f"at triangle {row}, corner {column}"
             )
-    triangles = np.array(array, dtype=np.int32, order="C")
+    triangles = _own(array, np.int32)
     triangles.setflags(write=False)
     return triangles
+
+
+def _equal(a: IntArray, b: IntArray) -> bool:
+    # Other triangles mostly differ from the first on; that is told without reading all of them.
+    return np.array_equal(a[:64], b[:64]) and np.array_equal(a, b)
 
 
 class Mesh:
@@ -163,8 +175,8 @@ class Scene:
 
         Args:
             name: non-empty string.
-            vertices: (V, 3) real numbers [m].
-            triangles: (T, 3) integers from 0 to V - 1; T may be 0.
+            vertices: (V, 3) real numbers [m]. Copied, unless it is a read-only float64 array that owns its memory.
+            triangles: (T, 3) integers from 0 to V - 1; T may be 0. Copied, unless a read-only int32 array likewise.
             pose: (4, 4) rigid transform to the world; identity if None.
             nonfinite: "refuse" vertices with NaN, infinity or coordinates beyond 1e50, or "skip": the triangles at them
                 cast nothing, and such vertices are stored as NaN.
@@ -180,7 +192,7 @@ class Scene:
         new_pose.setflags(write=False)
         self._check_capacity(name, len(new_vertices), len(new_triangles))
         old = self._meshes.get(name)
-        if old is not None and np.array_equal(old.triangles, new_triangles) and len(old.vertices) == len(new_vertices):
+        if old is not None and len(old.vertices) == len(new_vertices) and _equal(old.triangles, new_triangles):
             old.vertices = new_vertices
             old.vertices_revision = next(_serial)
             if not np.array_equal(old.pose, new_pose):
