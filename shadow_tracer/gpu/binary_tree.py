@@ -16,16 +16,45 @@ FOUND = 5
 Candidates = wp.types.vector(length=4 + FOUND, dtype=wp.int32)
 
 
+# The triangles of a leaf through the filter; true if one of them is a certain occluder. For both forms of the tree.
+LEAF = (
+    FILTER
+    + r"""
+    wp::vec_t<9, wp::int32> result;
+    int nodes = 0, tests = 0, found = 0;
+    const int* primitives = wp::bvh_get(bvh).primitive_indices;
+    const wp::vec4* record = (const wp::vec4*)records.data;
+    const wp::vec4 r = ray;
+    auto test_leaf = [&](int first, int last) -> bool {
+        for (int k = first; k < last; ++k) {
+            const int triangle = primitives[k];
+            ++tests;
+            const int answer = filter(r, magnitude, record + 4 * (size_t)triangle);
+            if (answer == 1) {
+                result[0] = 1;
+                result[1] = tests;
+                result[2] = nodes;
+                result[4] = triangle;
+                return true;
+            }
+            if (answer == 2) {
+                if (found >= skip && found < skip + 5)
+                    result[4 + found - skip] = triangle;
+                ++found;
+            }
+        }
+        return false;
+    };
+"""
+)
+
+
 # Warp's own query iterator pushes both children untested and hands out boxes one by one; walking its nodes here,
 # nearer child first, with the filter inline, takes a third of the time. Uses the node layout of Warp's bvh.h.
 @wp.func_native(
-    FILTER
+    LEAF
     + r"""
-    using Result = wp::vec_t<9, wp::int32>;
-    Result result;
     const wp::BVH tree = wp::bvh_get(bvh);
-    const wp::vec4* record = (const wp::vec4*)records.data;
-    const wp::vec4 r = ray;
     const wp::vec3 o = origin;
     const wp::vec3 inverse(1.0f / direction[0], 1.0f / direction[1], 1.0f / direction[2]);
     // Entry distance of a node's box, or a value beyond the ray if it is missed.
@@ -43,7 +72,7 @@ Candidates = wp.types.vector(length=4 + FOUND, dtype=wp.int32)
         return in <= out ? in : 3.0e38f;
     };
     int stack[64];
-    int top = 0, nodes = 0, tests = 0, found = 0;
+    int top = 0;
     int node = *tree.root;
     if (enter(node) > 1.0e38f)
         return result;
@@ -52,23 +81,8 @@ Candidates = wp.types.vector(length=4 + FOUND, dtype=wp.int32)
         const wp::BVHPackedNodeHalf lower = tree.node_lowers[node];
         const int left = lower.i, right = tree.node_uppers[node].i;
         if (lower.b) {
-            for (int k = left; k < right; ++k) {
-                const int triangle = tree.primitive_indices[k];
-                ++tests;
-                const int answer = filter(r, magnitude, record + 4 * (size_t)triangle);
-                if (answer == 1) {
-                    result[0] = 1;
-                    result[1] = tests;
-                    result[2] = nodes;
-                    result[4] = triangle;
-                    return result;
-                }
-                if (answer == 2) {
-                    if (found >= skip && found < skip + 5)
-                        result[4 + found - skip] = triangle;
-                    ++found;
-                }
-            }
+            if (test_leaf(left, right))
+                return result;
         } else {
             const float to_left = enter(left), to_right = enter(right);
             const bool see_left = to_left < 1.0e38f, see_right = to_right < 1.0e38f;

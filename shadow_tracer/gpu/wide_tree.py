@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.binary_tree import Candidates
-from shadow_tracer.gpu.shadow_test import FILTER
+from shadow_tracer.gpu.binary_tree import LEAF, Candidates
 
 WIDTH = 8
 BOUNDS_PER_NODE = 6 * WIDTH
@@ -93,18 +92,14 @@ def collapse(bvh: wp.uint64, bounds: wp.array(dtype=float), links: wp.array(dtyp
 
 
 @wp.func_native(
-    FILTER
+    LEAF
     + r"""
-    wp::vec_t<9, wp::int32> result;
-    const int* primitives = wp::bvh_get(bvh).primitive_indices;
-    const wp::vec4* record = (const wp::vec4*)records.data;
-    const wp::vec4 r = ray;
     auto least = [](float x, float y) { return x < y ? x : y; };
     auto most = [](float x, float y) { return x > y ? x : y; };
     const float ox = origin[0], oy = origin[1], oz = origin[2];
     const float ix = 1.0f / direction[0], iy = 1.0f / direction[1], iz = 1.0f / direction[2];
     int stack[256];
-    int top = 0, nodes = 0, tests = 0, found = 0, node = 0;
+    int top = 0, node = 0;
     for (;;) {
         ++nodes;
         const float* b = bounds.data + 48 * (size_t)node;
@@ -140,23 +135,8 @@ def collapse(bvh: wp.uint64, bounds: wp.array(dtype=float), links: wp.array(dtyp
                 }
                 continue;
             }
-            for (int j = link[k]; j < link[k] + link[8 + k]; ++j) {
-                const int triangle = primitives[j];
-                ++tests;
-                const int answer = filter(r, magnitude, record + 4 * (size_t)triangle);
-                if (answer == 1) {
-                    result[0] = 1;
-                    result[1] = tests;
-                    result[2] = nodes;
-                    result[4] = triangle;
-                    return result;
-                }
-                if (answer == 2) {
-                    if (found >= skip && found < skip + 5)
-                        result[4 + found - skip] = triangle;
-                    ++found;
-                }
-            }
+            if (test_leaf(link[k], link[k] + link[8 + k]))
+                return result;
         }
         if (next < 0) {
             if (top == 0)
