@@ -23,7 +23,7 @@ from shadow_tracer.apps.sequence import Sequence, open_sequence
 
 NEEDED = {"rclpy": "ros", "sensor_msgs": "ros", "rich": "demo", "PIL": "demo", "embreex": "demo"}
 # what a machine without a CUDA device answers in half a minute, and one with it in less
-CPU_FRAMES, CPU_SIZE = 40, (480, 360)
+CPU_FRAMES, CPU_SIZE = 40, (640, 480)
 CUDA_FRAMES, CUDA_SIZE = 72, (640, 480)
 
 
