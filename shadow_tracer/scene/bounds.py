@@ -19,8 +19,8 @@ class Bounds:
         max_lights: lights of one frame.
         queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision. A smaller
             queue costs further passes (counted in ``overflow_passes``), never an answer.
-        grid_entries: (tile, triangle) entries of pipelines that sort triangles into tiles; too few cost passes, never
-            an answer.
+        grid_entries: (tile, triangle) entries of pipelines that sort triangles into tiles; none of the present ones
+            does. Too few will cost passes, never an answer.
 
     Raises:
         ValueError: a capacity is not a positive integer below 2^31; the message names it.
