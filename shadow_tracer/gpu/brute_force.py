@@ -2,9 +2,8 @@
 """Every sample against every triangle: the in-house oracle.
 
 Variant ``filtered`` uses the float32 filter and the queue as every pipeline does; ``scalar`` is the same with one
-sample per thread on every device; ``float64`` asks the exact decision
-for every single pair and uses neither. Both must give the same bits, which tests the filter's bound on any scene at
-hand.
+sample per thread on every device; ``float64`` asks the exact decision for every single pair and uses neither. All must
+give the same bits, which tests the filter's bound on any scene at hand.
 
 Cost: samples x triangles pairs, 12 multiply-adds each, 64 bytes of record per triangle read by all samples. On the CPU
 a thread takes a block of samples and the filter runs over them in vector registers (Warp's own loops are scalar there:

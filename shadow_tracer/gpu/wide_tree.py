@@ -91,9 +91,15 @@ def collapse(bvh: wp.uint64, bounds: wp.array(dtype=float), links: wp.array(dtyp
     count[0] = collapse_tree(bvh, bounds, links)
 
 
+# The CPU alone walks this form. For CUDA the body is left out, or its stack would cost every thread a kilobyte; it says
+# "too deep" there, which makes the caller look at every triangle.
 @wp.func_native(
     LEAF
     + r"""
+#if defined(__CUDA_ARCH__)
+    result[0] = -1;
+    return result;
+#else
     auto least = [](float x, float y) { return x < y ? x : y; };
     auto most = [](float x, float y) { return x > y ? x : y; };
     const float ox = origin[0], oy = origin[1], oz = origin[2];
@@ -149,6 +155,7 @@ def collapse(bvh: wp.uint64, bounds: wp.array(dtype=float), links: wp.array(dtyp
     result[2] = nodes;
     result[3] = found;
     return result;
+#endif
     """
 )
 def search_wide(

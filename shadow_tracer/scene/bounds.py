@@ -23,7 +23,7 @@ class Bounds:
             does. Too few will cost passes, never an answer.
 
     Raises:
-        ValueError: a capacity is not a positive integer below 2^31; the message names it.
+        ValueError: a capacity is not a positive integer or too large to count with; the message names it and its limit.
     """
 
     max_triangles: int = 1_000_000
@@ -33,7 +33,8 @@ class Bounds:
     grid_entries: int = 4_194_304
 
     def __post_init__(self) -> None:
-        limits = {"max_triangles": 2**31 // 9, "max_rays": 2**31 // 4, "max_lights": 64}
+        # The counter of a full queue runs past its capacity, by one for each ray at most, and must stay below 2^31.
+        limits = {"max_triangles": 2**31 // 9, "max_rays": 2**31 // 4, "max_lights": 64, "queue_capacity": 2**30}
         for item in fields(self):
             value = getattr(self, item.name)
             limit = limits.get(item.name, 2**31 - 1)
