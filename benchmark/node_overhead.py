@@ -77,7 +77,7 @@ class Measurement:
         self.node: ShadowNode | None = None
         self.process: subprocess.Popen[bytes] | None = None
         if processes:
-            # Behind a mesh of 1.7 MB stock Fast DDS delivers some camera_info only seconds later, with its next heartbeat.
+            # Behind a mesh of 1.7 MB stock Fast DDS delivers some camera_info seconds late, with its next heartbeat.
             overrides["camera_info_policy"] = "latest"
             overrides["qos_overrides./depth/image_rect.subscription.reliability"] = "reliable"
             arguments = [word for name, value in overrides.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
