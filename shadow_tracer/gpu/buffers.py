@@ -20,12 +20,15 @@ from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.mesh import Mesh, Scene
 
 # Columns of the counter array. Each has 64 rows that threads spread over, so that they do not queue for one address.
-COUNTERS = ("rays", "nodes_visited", "leaf_tests", "retested", "exact")
+COUNTERS = ("rays", "nodes_visited", "leaf_tests", "retested", "exact", "accepted", "passes", "peak_queue")
 RAYS = wp.constant(0)
 NODES_VISITED = wp.constant(1)
 LEAF_TESTS = wp.constant(2)
 RETESTED = wp.constant(3)
 EXACT = wp.constant(4)
+ACCEPTED = wp.constant(5)
+PASSES = wp.constant(6)
+PEAK_QUEUE = wp.constant(7)  # the largest value of any row counts, not the sum
 _ROWS = 64
 
 
@@ -68,13 +71,18 @@ class FrameBuffers:
         self.queue_counts = wp.zeros(bounds.max_lights, dtype=int, device=device)
         self.queue_count_of = [self.queue_counts[k : k + 1] for k in range(bounds.max_lights)]
         self.resume = wp.empty(rays, dtype=int, device=device)
+        self.deferred = wp.zeros(1, dtype=int, device=device)  # whether a pass left rays for the next one
         self.counters = wp.zeros((_ROWS, len(COUNTERS)), dtype=wp.int64, device=device)
         self.degenerate = wp.zeros(_ROWS, dtype=int, device=device)
         self.count = 0  # samples of the current frame
+        self.width = 0  # of the image they come from; 0 if they are a list of points
 
     def read_counters(self) -> dict[str, int]:
         """Counter sums by name. Waits for the device."""
-        return dict(zip(COUNTERS, (int(v) for v in self.counters.numpy().sum(axis=0)), strict=True))
+        rows = self.counters.numpy()
+        totals = rows.sum(axis=0)
+        totals[PEAK_QUEUE] = rows[:, PEAK_QUEUE].max()
+        return dict(zip(COUNTERS, (int(v) for v in totals), strict=True))
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
@@ -122,6 +130,7 @@ class SceneBuffers:
         self.vertices = wp.empty(vertices, dtype=wp.vec3d, device=device)
         self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
         self.triangle_count = 0
+        self.vertex_count = 0
         self.version = 0  # grows with every change
         self.low: FloatArray = np.zeros(3)  # bounding box in the world
         self.high: FloatArray = np.zeros(3)
@@ -146,6 +155,7 @@ class SceneBuffers:
         self._parts = parts
         self._revision = scene.revision
         self.triangle_count = first_triangle
+        self.vertex_count = first_vertex
         if change != Change.NOTHING:
             self.version += 1
             self._update_box(scene)

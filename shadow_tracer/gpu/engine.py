@@ -71,6 +71,7 @@ class Engine:
             change = self._scene.sync(scene)
             upload(target, depth.reshape(-1))
         frame.count = depth.size
+        frame.width = camera.width
         with self.stages.stage("unproject"):
             self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
             wp.launch(
@@ -100,6 +101,7 @@ class Engine:
             upload(frame.samples, samples)
             upload(frame.valid, np.ones(len(points), dtype=np.uint8))
         frame.count = len(points)
+        frame.width = 0
         low, high = points.min(axis=0), points.max(axis=0)
         center = 0.5 * low + 0.5 * high
         self._anchor = make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), self._anchor)
@@ -172,8 +174,10 @@ class Engine:
             attempt, overflowed = 1, True
             while overflowed:
                 frame.queue_count_of[index].zero_()
+                frame.deferred.zero_()
                 self._attempt(light, int(index), attempt)
-                overflowed = int(frame.queue_count_of[index].numpy()[0]) > self.bounds.queue_capacity
+                queued = int(frame.queue_count_of[index].numpy()[0])
+                overflowed = queued > self.bounds.queue_capacity or bool(frame.deferred.numpy()[0])
                 attempt = 2
                 passes += 1
         return passes

@@ -48,6 +48,12 @@ REGISTRY: dict[str, PipelineEntry] = {
         "MeshBvh",
         "bounding volume hierarchy over the triangles, refitted while only positions change",
     ),
+    "cone_hierarchy": PipelineEntry(
+        ("linear", "linear_scalar"),
+        "shadow_tracer.gpu.cone_hierarchy.pipeline",
+        "make",
+        "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
+    ),
     "brute_force": PipelineEntry(
         ("filtered", "scalar", "float64"),
         "shadow_tracer.gpu.brute_force",

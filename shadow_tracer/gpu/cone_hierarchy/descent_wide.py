@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The descent of ``descent.py`` sixteen boxes or rays at a time, for the CPU: masks of survivors on a small stack, and
+nodes that are accepted are finished at once, down to their rays."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.buffers import ACCEPTED, LEAF_TESTS, NODES_VISITED
+from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
+from shadow_tracer.gpu.cone_hierarchy.occluders import TRIANGLE, Occluders
+from shadow_tracer.gpu.cone_hierarchy.rays import Answers
+from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
+from shadow_tracer.gpu.shadow_test import FILTER_BLOCK
+
+# Sixteen lanes. `boxes16` answers for the 16 boxes of a group with two bit masks.
+_WIDE = (
+    TRIANGLE
+    + FILTER_BLOCK
+    + r"""
+    wp::int64 nodes = 0, tests = 0, accepted = 0;
+    Planes it;
+    Seen seen;
+    auto boxes16 = [&](const float* b, int& covered) -> int {
+        const float pu0 = seen.bounded ? seen.low[0] : -2.0f, pu1 = seen.bounded ? seen.high[0] : 2.0f;
+        const float pv0 = seen.bounded ? seen.low[1] : -2.0f, pv1 = seen.bounded ? seen.high[1] : 2.0f;
+        const float pw0 = seen.bounded ? seen.low[2] : -2.0f, pw1 = seen.bounded ? seen.high[2] : 2.0f;
+        const float nearest = seen.bounded ? seen.nearest : 3.0e38f;
+        int pass[16], all[16];
+        for (int j = 0; j < 16; ++j) {
+            const float cu = b[j], cv = b[16 + j], cw = b[32 + j], eu = b[48 + j], ev = b[64 + j], ew = b[80 + j];
+            const float t0 = b[96 + j], t1 = b[112 + j];
+            const float most = fabsf(t0) > fabsf(t1) ? fabsf(t0) : fabsf(t1);
+            const float m = 4.0f + 2.001f * most;
+            const float edge = it.edge * m, plane = it.plane * m;
+            const float c0 = it.n[0][0] * cu + it.n[0][1] * cv + it.n[0][2] * cw;
+            const float c1 = it.n[1][0] * cu + it.n[1][1] * cv + it.n[1][2] * cw;
+            const float c2 = it.n[2][0] * cu + it.n[2][1] * cv + it.n[2][2] * cw;
+            const float r0 = it.reach[0][0] * eu + it.reach[0][1] * ev + it.reach[0][2] * ew;
+            const float r1 = it.reach[1][0] * eu + it.reach[1][1] * ev + it.reach[1][2] * ew;
+            const float r2 = it.reach[2][0] * eu + it.reach[2][1] * ev + it.reach[2][2] * ew;
+            const float g = it.p[0] * cu + it.p[1] * cv + it.p[2] * cw;
+            const float h = it.spread[0] * eu + it.spread[1] * ev + it.spread[2] * ew;
+            const int seen_here = (cu - eu <= pu1) & (cu + eu >= pu0) & (cv - ev <= pv1) & (cv + ev >= pv0)
+                & (cw - ew <= pw1) & (cw + ew >= pw0) & (t0 <= nearest);
+            pass[j] = (c0 + r0 >= -edge) & (c1 + r1 >= -edge) & (c2 + r2 >= -edge)
+                & (g + h + it.p[3] * t0 >= -plane) & seen_here;
+            all[j] = (c0 - r0 > edge) & (c1 - r1 > edge) & (c2 - r2 > edge) & (g - h + it.p[3] * t1 > plane);
+            if (it.blind) {
+                pass[j] = eu >= 0.0f;
+                all[j] = 0;
+            }
+        }
+        int mask = 0;
+        covered = 0;
+        for (int j = 0; j < 16; ++j) {
+            mask |= pass[j] << j;
+            covered |= all[j] << j;
+        }
+        covered &= mask;
+        return mask;
+    };
+    // A node, by its number in its level, has no live rays any more.
+    auto finish = [&](int level, int node) {
+        for (;;) {
+            const int number = tree.offset.data[level] + node;
+            if (tree.flags.data[number])
+                return;
+            tree.flags.data[number] = 1;
+            float* box = tree.boxes.data + 128 * (size_t)(number / 16) + number % 16;
+            box[48] = box[64] = box[80] = -1.0e30f;
+            if (level + 1 >= tree.levels)
+                return;
+            ++level;
+            node /= 16;
+            if (--tree.live.data[tree.offset.data[level] + node] > 0)
+                return;
+        }
+    };
+    auto accept_leaf = [&](int leaf) {
+        if (tree.flags.data[leaf])
+            return;
+        float* magnitude = tree.leaves.data + 80 * (size_t)leaf + 64;
+        for (int live = tree.live.data[leaf]; live; live &= live - 1) {
+            const int j = __builtin_ctz(live);
+            answers.states.data[tree.order.data[16 * leaf + j]] = 1;
+            magnitude[j] = -1.0e30f;
+        }
+        tree.live.data[leaf] = 0;
+        finish(0, leaf);
+    };
+    auto test_leaf = [&](int leaf, int triangle) {
+        if (tree.flags.data[leaf])
+            return;
+        float* ray = tree.leaves.data + 80 * (size_t)leaf;
+        int answer[16];
+        tests += __builtin_popcount(tree.live.data[leaf]);
+        if (!filter_block((const float*)occluders.records.data + 16 * (size_t)triangle, 16, ray, ray + 16, ray + 32,
+                          ray + 48, ray + 64, answer))
+            return;
+        int live = tree.live.data[leaf];
+        for (int left = live; left; left &= left - 1) {
+            const int j = __builtin_ctz(left);
+            if (answer[j] == 0)
+                continue;
+            const int sample = tree.order.data[16 * leaf + j];
+            if (answer[j] == 2) {
+                settle(sample, triangle);
+                continue;
+            }
+            answers.states.data[sample] = 1;
+            ray[64 + j] = -1.0e30f;
+            live &= ~(1 << j);
+        }
+        tree.live.data[leaf] = live;
+        if (live == 0)
+            finish(0, leaf);
+    };
+    auto walk = [&](int first, int last, int triangle) {
+        int top = 0;
+        while ((last >> (4 * top + 4)) - (first >> (4 * top + 4)) > 1)
+            ++top;
+        int group[8], mask[8], whole[8];
+        auto enter = [&](int level, int which) {
+            const int from = first >> (4 * level), to = last >> (4 * level);
+            const int low = from > 16 * which ? from - 16 * which : 0;
+            const int high = to < 16 * which + 15 ? to - 16 * which : 15;
+            const int range = (0xFFFF >> (15 - high)) & (0xFFFF << low);
+            group[level] = which;
+            mask[level] = boxes16(tree.boxes.data + 8 * ((size_t)tree.offset.data[level] + 16 * which), whole[level]);
+            mask[level] &= range;
+            nodes += high - low + 1;
+        };
+        for (int which = first >> (4 * top + 4); which <= last >> (4 * top + 4); ++which) {
+            int level = top;
+            enter(level, which);
+            for (;;) {
+                if (mask[level] == 0) {
+                    if (level == top)
+                        break;
+                    ++level;
+                    continue;
+                }
+                const int lane = __builtin_ctz(mask[level]);
+                mask[level] &= mask[level] - 1;
+                const int node = 16 * group[level] + lane;
+                if (whole[level] >> lane & 1) {
+                    const int width = 1 << (4 * level);
+                    ++accepted;
+                    for (int leaf = node * width; leaf < (node + 1) * width && leaf < tree.offset.data[1]; ++leaf)
+                        accept_leaf(leaf);
+                } else if (level == 0) {
+                    test_leaf(node, triangle);
+                } else {
+                    --level;
+                    enter(level, node);
+                }
+            }
+        }
+    };
+    for (int t = 0; t < occluders.count; ++t) {
+        const wp::vec3i corner = occluders.triangles.data[t];
+        const wp::vec4 a = occluders.corners.data[corner[0]], b = occluders.corners.data[corner[1]],
+                       c = occluders.corners.data[corner[2]];
+        const float size = 1.0f + most3(magnitude_of(a), magnitude_of(b), magnitude_of(c));
+        bool loaded = false;
+        for (int face = 0; face < 6; ++face) {
+            if (tree.fit.data[face][3] == 0.0f)
+                continue;
+            seen.bounded = false;
+            if (size < 1.0e18f && !look(a, b, c, size, face, seen))
+                continue;
+            int run[8];
+            const int count = runs(seen, face, run);
+            if (count == 0)
+                continue;
+            if (!loaded && !load((const wp::vec4*)occluders.records.data + 4 * (size_t)t, it))
+                break;
+            loaded = true;
+            for (int k = 0; k < count; ++k)
+                walk(run[2 * k], run[2 * k + 1], t);
+        }
+    }
+    wp::int64* counter = answers.counters.data;
+    wp::atomic_add(counter + nodes_visited, nodes);
+    wp::atomic_add(counter + leaf_tests, tests);
+    wp::atomic_add(counter + accepted_nodes, accepted);
+"""
+)
+
+
+# For CUDA the body is left out: no kernel launches it there.
+@wp.func_native("#if !defined(__CUDA_ARCH__)\n" + _WIDE + "\n#endif\n")
+def descend_all(
+    space: LightSpace,
+    tree: RayTree,
+    occluders: Occluders,
+    answers: Answers,
+    nodes_visited: int,
+    leaf_tests: int,
+    accepted_nodes: int,
+):
+    """All triangles, one after the other."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def descend_wide(space: LightSpace, tree: RayTree, occluders: Occluders, answers: Answers):
+    """One thread."""
+    descend_all(space, tree, occluders, answers, NODES_VISITED, LEAF_TESTS, ACCEPTED)

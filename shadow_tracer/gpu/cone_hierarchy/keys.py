@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sorting rays by direction: cube face, then a space-filling curve over the face (Arvo and Kirk 1987, "Fast Ray Tracing
+by Ray Classification"; section 3.5 of the cone-hierarchy paper).
+
+A direction is *cubified*: divided by its largest component, it lies on the face of that axis and sign, at (u, v) =
+the other two components in [-1, 1]. The curve's 2^14 x 2^14 cells are fitted to the rays of each face, square: a far
+light would otherwise put all rays into one cell. The mapping to cells is a monotone function of u and of v, so whatever
+lies between two values lies between their cells.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.cone_hierarchy.rays import IN_TREE, Participants
+from shadow_tracer.gpu.light_frame import SHADOWED
+from shadow_tracer.gpu.sort import KeySort
+from shadow_tracer.gpu.triangles import Context
+
+FACES = 6
+CURVE_BITS = 14
+KEY_BITS = 3 + 2 * CURVE_BITS
+CELLS = 2.0**CURVE_BITS
+LAST_KEY = wp.constant(2**31 - 1)
+
+
+@wp.func
+def face_of(ray: wp.vec4) -> int:
+    """Cube face of a direction: 0 to 5 for +U, -U, +V, -V, +W, -W."""
+    x = wp.abs(ray[0])
+    y = wp.abs(ray[1])
+    z = wp.abs(ray[2])
+    if x >= y and x >= z:
+        return wp.where(ray[0] < 0.0, 1, 0)
+    if y >= z:
+        return wp.where(ray[1] < 0.0, 3, 2)
+    return wp.where(ray[2] < 0.0, 5, 4)
+
+
+@wp.func
+def face_axes(face: int, ray: wp.vec4) -> wp.vec3:
+    """(major, first, second) of ray on ``face``: its size along the face's axis and the other two components."""
+    sign = wp.where((face & 1) != 0, -1.0, 1.0)
+    if face < 2:
+        return wp.vec3(sign * ray[0], ray[1], ray[2])
+    if face < 4:
+        return wp.vec3(sign * ray[1], ray[2], ray[0])
+    return wp.vec3(sign * ray[2], ray[0], ray[1])
+
+
+@wp.func
+def cell_of(x: float, low: float, scale: float) -> int:
+    """Cell of a face coordinate: monotone in ``x``."""
+    return int(wp.clamp((x - low) * scale, 0.0, CELLS - 1.0))
+
+
+@wp.func
+def spread_bits(x: int) -> int:
+    """The 16 lowest bits of ``x``, a zero between each two."""
+    x = (x | (x << 8)) & 0x00FF00FF
+    x = (x | (x << 4)) & 0x0F0F0F0F
+    x = (x | (x << 2)) & 0x33333333
+    return (x | (x << 1)) & 0x55555555
+
+
+@wp.func
+def hilbert_index(x: int, y: int) -> int:
+    """Position on the Hilbert curve over 2^14 x 2^14 cells."""
+    index = int(0)
+    bit = int(1 << (CURVE_BITS - 1))
+    while bit > 0:
+        right = wp.where((x & bit) != 0, 1, 0)
+        upper = wp.where((y & bit) != 0, 1, 0)
+        index = (index << 2) | ((3 * right) ^ upper)
+        # Turn the quadrant so that the curve enters and leaves it where its neighbours do.
+        if upper == 0:
+            if right != 0:
+                x = (bit - 1) & ~x
+                y = (bit - 1) & ~y
+            swap = x
+            x = y
+            y = swap
+        bit = bit >> 1
+    return index
+
+
+@wp.kernel(enable_backward=False)
+def clear_extent(extent: wp.array(dtype=float)):
+    """``extent``: low u, low v, high u, high v of the rays of each face."""
+    i = wp.tid()
+    extent[i] = wp.where((i & 3) < 2, 2.0, -2.0)
+
+
+@wp.kernel(enable_backward=False)
+def measure_extent(rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), extent: wp.array(dtype=float)):
+    i = wp.tid()
+    if group[i] != wp.uint8(IN_TREE):
+        return
+    face = face_of(rays[i])
+    on = face_axes(face, rays[i])
+    u = on[1] / on[0]
+    v = on[2] / on[0]
+    base = 4 * face
+    # Looking first keeps almost all threads from queueing for the same few addresses.
+    if u < extent[base]:
+        wp.atomic_min(extent, base, u)
+    if v < extent[base + 1]:
+        wp.atomic_min(extent, base + 1, v)
+    if u > extent[base + 2]:
+        wp.atomic_max(extent, base + 2, u)
+    if v > extent[base + 3]:
+        wp.atomic_max(extent, base + 3, v)
+
+
+@wp.kernel(enable_backward=False)
+def fit_cells(extent: wp.array(dtype=float), fit: wp.array(dtype=wp.vec4)):
+    """(low u, low v, cells per unit, 1 if the face has rays) of each face."""
+    face = wp.tid()
+    low_u = extent[4 * face]
+    low_v = extent[4 * face + 1]
+    size = wp.max(extent[4 * face + 2] - low_u, extent[4 * face + 3] - low_v)
+    if size < 0.0:
+        fit[face] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    else:
+        fit[face] = wp.vec4(low_u, low_v, CELLS / wp.max(size, 1.0e-12), 1.0)
+
+
+@wp.kernel(enable_backward=False)
+def make_keys(
+    hilbert: int,
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    group: wp.array(dtype=wp.uint8),
+    fit: wp.array(dtype=wp.vec4),
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+):
+    """Key of every sample; those not in the tree, or found in shadow by an earlier traversal, go to the end."""
+    i = wp.tid()
+    order[i] = i
+    if group[i] != wp.uint8(IN_TREE) or states[i] == wp.uint8(SHADOWED):
+        keys[i] = LAST_KEY
+        return
+    ray = rays[i]
+    face = face_of(ray)
+    on = face_axes(face, ray)
+    grid = fit[face]
+    x = cell_of(on[1] / on[0], grid[0], grid[2])
+    y = cell_of(on[2] / on[0], grid[1], grid[2])
+    code = spread_bits(x) | (spread_bits(y) << 1)
+    if hilbert != 0:
+        code = hilbert_index(x, y)
+    keys[i] = (face << (2 * CURVE_BITS)) | code
+    wp.atomic_add(counts, 0, 1)
+
+
+class RayOrder:
+    """Tree rays in the order of a curve: ``order[:n]`` are their sample indices, n = ``participants.counts[0]`` (on the
+    device), the rest follows in no order. ``fit`` describes the cells of each face (``fit_cells``)."""
+
+    def __init__(self, context: Context, participants: Participants, hilbert: bool) -> None:
+        self._context = context
+        self._participants = participants
+        self._hilbert = int(hilbert)
+        device = context.frame.device
+        self._sort = KeySort(context.frame.bounds.max_rays, device)
+        self._extent = wp.empty(4 * FACES, dtype=float, device=device)
+        self.fit = wp.empty(FACES, dtype=wp.vec4, device=device)
+        self.keys = self._sort.keys
+        self.order = self._sort.values
+
+    def sort(self, light: int) -> None:
+        """Order the tree rays of light number ``light`` that are not known to be in shadow."""
+        frame, who = self._context.frame, self._participants
+        device, count = frame.device, frame.count
+        who.counts[0:1].zero_()
+        wp.launch(clear_extent, dim=4 * FACES, inputs=[self._extent], device=device)
+        wp.launch(measure_extent, dim=count, inputs=[frame.rays, who.group, self._extent], device=device)
+        wp.launch(fit_cells, dim=FACES, inputs=[self._extent, self.fit], device=device)
+        states = frame.states[light]
+        inputs = [self._hilbert, frame.rays, states, who.group, self.fit, self.keys, self.order, who.counts]
+        wp.launch(make_keys, dim=count, inputs=inputs, device=device)
+        self._sort.sort(count, KEY_BITS)
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return self._sort.nbytes() + int(self._extent.capacity + self.fit.capacity)

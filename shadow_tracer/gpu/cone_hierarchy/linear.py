@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Variant ``linear``: boxes of cubified direction with a range of depth, start cells from a lookup table."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.buffers import Change
+from shadow_tracer.gpu.cone_hierarchy import descent, descent_wide
+from shadow_tracer.gpu.cone_hierarchy.boxes import RayTreeBuffers
+from shadow_tracer.gpu.cone_hierarchy.corners import Corners
+from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
+from shadow_tracer.gpu.cone_hierarchy.occluders import Occluders
+from shadow_tracer.gpu.cone_hierarchy.rays import Participants
+from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, make_light_space
+from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.triangles import Context
+
+# Threads that share the large triangles.
+_BIG_THREADS_CUDA = 131072
+
+
+class LinearHierarchy:
+    """The pipeline's variant ``linear``; see ``boxes.py`` and ``descent.py``."""
+
+    def __init__(self, variant: str, context: Context) -> None:
+        self._context = context
+        self._participants = Participants(context)
+        self._order = RayOrder(context, self._participants, hilbert=False)
+        self._corners = Corners(context)
+        self._wide = context.frame.device.is_cpu and variant == "linear"
+        self._buffers = RayTreeBuffers(context, self._order, self._participants, self._wide)
+        capacity = 1 if self._wide else context.frame.bounds.max_triangles
+        self._big = wp.empty(capacity, dtype=int, device=context.frame.device)
+        self._big_count = wp.zeros(1, dtype=int, device=context.frame.device)
+
+    def update(self, change: Change) -> None:
+        """Nothing is kept of the scene."""
+
+    def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
+        """Build the tree of the light's rays and send all triangles through it."""
+        stages, space = self._context.stages, make_light_space(frame)
+        with stages.stage("setup"):
+            self._context.records.prepare(frame)
+            self._corners.prepare(frame)
+        with stages.stage("sort"):
+            self._participants.choose(light, attempt)
+            self._order.sort(light)
+        with stages.stage("build"):
+            self._buffers.build(frame, space)
+        with stages.stage("trace"):
+            self._descend(space, light)
+            self._participants.finish(light, attempt)
+
+    def _descend(self, space: LightSpace, light: int) -> None:
+        buffers, scene, tree = self._context.frame, self._context.scene, self._buffers.tree
+        device = buffers.device
+        occluders = Occluders()
+        occluders.count = scene.triangle_count
+        occluders.triangles = scene.triangles
+        occluders.corners = self._corners.vertices
+        occluders.records = buffers.records
+        inputs = [space, tree, occluders, self._participants.answers(light)]
+        if self._wide:
+            wp.launch(descent_wide.descend_wide, dim=1, inputs=inputs, device=device)
+            return
+        self._big_count.zero_()
+        inputs += [self._big, self._big_count]
+        wp.launch(descent.descend_triangles, dim=scene.triangle_count, inputs=inputs, device=device)
+        threads = 1 if device.is_cpu else _BIG_THREADS_CUDA
+        wp.launch(descent.descend_big, dim=threads, inputs=[threads, *inputs], device=device)
+        wp.launch(descent.write_accepted, dim=buffers.count, inputs=[tree, buffers.states[light]], device=device)
+
+    def learn(self, counters: dict[str, int]) -> None:
+        """Nothing to adapt."""
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        parts = (self._participants, self._order, self._corners, self._buffers)
+        return sum(part.nbytes() for part in parts) + int(self._big.capacity + self._big_count.capacity)

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which rays take part in a pass, and their answers.
+
+All rays take part in the first pass of a frame. Triangles visit rays in no particular order, so a ray that finds the
+queue full cannot remember where it stopped; instead it counts its uncertain pairs to the end (``resume``) and becomes
+PENDING. A further pass admits, from the front, as many pending rays as surely fit the queue together, and shows them
+all triangles again. If another tree shows a ray more uncertain pairs than counted, it stays pending with the new count
+and fewer rays are admitted next time, down to a single one; if even that one has more pairs than the queue has places,
+it is tested alone against one triangle after the other, and goes on where it stopped. So every pass makes progress, at
+any capacity.
+
+Rays that do not fit into light space (``space.is_wild``) are kept out of the tree and tested against every triangle.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.buffers import LEAF_TESTS
+from shadow_tracer.gpu.cone_hierarchy.space import is_wild
+from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
+from shadow_tracer.gpu.shadow_test import (
+    NO,
+    YES,
+    enqueue,
+    filter_pair,
+    is_ray,
+    ray_magnitude,
+    test_everything,
+)
+from shadow_tracer.gpu.triangles import Context
+
+ABSENT = wp.constant(0)
+IN_TREE = wp.constant(1)
+WILD = wp.constant(2)
+
+_WILD_THREADS_CUDA = 16384
+
+
+@wp.struct
+class Answers:
+    """Where the answers about rays go."""
+
+    states: wp.array(dtype=wp.uint8)
+    resume: wp.array(dtype=int)  # uncertain pairs of a ray in this pass
+    queue: wp.array(dtype=wp.vec2i)
+    queue_count: wp.array(dtype=int)
+    counters: wp.array2d(dtype=wp.int64)
+
+
+@wp.func
+def settle(sample: int, triangle: int, answer: int, answers: Answers):
+    """Note what the filter said about a pair, NO excepted."""
+    if answer == YES:
+        answers.states[sample] = wp.uint8(SHADOWED)
+    elif answers.states[sample] != wp.uint8(SHADOWED):
+        wp.atomic_add(answers.resume, sample, 1)
+        if not enqueue(sample, triangle, answers.queue, answers.queue_count):
+            answers.states[sample] = wp.uint8(PENDING)
+
+
+@wp.func
+def admit(
+    i: int, ray: wp.vec4, group: wp.array(dtype=wp.uint8), wild: wp.array(dtype=int), counts: wp.array(dtype=int)
+):
+    if is_wild(ray):
+        group[i] = wp.uint8(WILD)
+        wild[wp.atomic_add(counts, 1, 1)] = i
+    else:
+        group[i] = wp.uint8(IN_TREE)
+
+
+@wp.kernel(enable_backward=False)
+def admit_all(
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    resume: wp.array(dtype=int),
+    group: wp.array(dtype=wp.uint8),
+    wild: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+):
+    """The first pass: every ray."""
+    i = wp.tid()
+    ray = rays[i]
+    if is_ray(states[i], ray):
+        resume[i] = 0
+        admit(i, ray, group, wild, counts)
+    else:
+        group[i] = wp.uint8(ABSENT)
+
+
+@wp.kernel(enable_backward=False)
+def count_demand(states: wp.array(dtype=wp.uint8), resume: wp.array(dtype=int), demand: wp.array(dtype=wp.int64)):
+    """Places in the queue that each pending ray needs."""
+    i = wp.tid()
+    demand[i] = wp.int64(0)
+    if states[i] == wp.uint8(PENDING):
+        demand[i] = wp.int64(resume[i])
+
+
+@wp.kernel(enable_backward=False)
+def admit_pending(
+    capacity: wp.int64,
+    demand: wp.array(dtype=wp.int64),
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    resume: wp.array(dtype=int),
+    group: wp.array(dtype=wp.uint8),
+    wild: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+    alone: wp.array(dtype=int),
+    deferred: wp.array(dtype=int),
+):
+    """A further pass: pending rays from the front that fit the queue together. ``demand`` holds inclusive sums.
+    ``alone[0]`` becomes the first pending ray if it does not fit even by itself."""
+    i = wp.tid()
+    group[i] = wp.uint8(ABSENT)
+    if states[i] != wp.uint8(PENDING):
+        return
+    if demand[i] <= capacity:
+        states[i] = wp.uint8(LIT)
+        resume[i] = 0
+        admit(i, rays[i], group, wild, counts)
+    else:
+        deferred[0] = 1
+        if demand[i] == wp.int64(resume[i]):
+            alone[0] = i
+
+
+@wp.kernel(enable_backward=False)
+def test_alone(
+    triangle_count: int,
+    rays: wp.array(dtype=wp.vec4),
+    records: wp.array2d(dtype=wp.vec4),
+    answers: Answers,
+    alone: wp.array(dtype=int),
+):
+    """The ray ``alone[0]``, if any, against one triangle after the other; ``alone[1]`` is the ray for which
+    ``alone[2]`` uncertain pairs have been on the queue in earlier passes."""
+    i = alone[0]
+    if i < 0:
+        return
+    queued = int(0)
+    if alone[1] == i:
+        queued = alone[2]
+    ray = rays[i]
+    found = test_everything(
+        i, ray, ray_magnitude(ray), queued, triangle_count, records, answers.queue, answers.queue_count
+    )
+    answers.states[i] = wp.uint8(found[0])
+    alone[1] = i
+    alone[2] = found[1]
+    wp.atomic_add(answers.counters, 0, LEAF_TESTS, wp.int64(found[2]))
+
+
+@wp.kernel(enable_backward=False)
+def test_wild(
+    stride: int,
+    triangle_count: int,
+    rays: wp.array(dtype=wp.vec4),
+    records: wp.array2d(dtype=wp.vec4),
+    wild: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+    answers: Answers,
+):
+    """Every ray of the list ``wild`` against every triangle."""
+    thread = wp.tid()
+    tests = int(0)
+    for k in range(counts[1]):
+        i = wild[k]
+        ray = rays[i]
+        magnitude = ray_magnitude(ray)
+        t = thread
+        while t < triangle_count and answers.states[i] != wp.uint8(SHADOWED):
+            answer = filter_pair(ray, magnitude, records, t)
+            tests += 1
+            if answer != NO:
+                settle(i, t, answer, answers)
+            t += stride
+    if tests > 0:
+        wp.atomic_add(answers.counters, thread & 63, LEAF_TESTS, wp.int64(tests))
+
+
+class Participants:
+    """The rays of the current pass.
+
+    ``group`` (uint8 per sample) is ABSENT, IN_TREE or WILD. ``counts`` (int32 on the device): [0] is free for the tree
+    to count its rays in, [1] is the number of wild rays.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        device, rays = context.frame.device, context.frame.bounds.max_rays
+        self.group = wp.empty(rays, dtype=wp.uint8, device=device)
+        self.counts = wp.zeros(2, dtype=int, device=device)
+        self._wild = wp.empty(rays, dtype=int, device=device)
+        self._demand = wp.empty(rays, dtype=wp.int64, device=device)
+        self._alone = wp.empty(3, dtype=int, device=device)
+        self._alone_now = self._alone[0:1]
+
+    def answers(self, light: int) -> Answers:
+        """Where the answers for light number ``light`` go."""
+        frame = self._context.frame
+        answers = Answers()
+        answers.states = frame.states[light]
+        answers.resume = frame.resume
+        answers.queue = frame.queue
+        answers.queue_count = frame.queue_count_of[light]
+        answers.counters = frame.counters
+        return answers
+
+    def choose(self, light: int, attempt: int) -> None:
+        """Decide which rays of light number ``light`` take part; ``attempt`` as in ``brute_force.py``."""
+        frame = self._context.frame
+        device, count, states = frame.device, frame.count, frame.states[light]
+        self.counts.zero_()
+        if attempt == 0:
+            inputs = [frame.rays, states, frame.resume, self.group, self._wild, self.counts]
+            wp.launch(admit_all, dim=count, inputs=inputs, device=device)
+            return
+        if attempt == 1:
+            self._alone.fill_(-1)
+        self._alone_now.fill_(-1)
+        wp.launch(count_demand, dim=count, inputs=[states, frame.resume, self._demand], device=device)
+        wp.utils.array_scan(self._demand[:count], self._demand[:count], inclusive=True)
+        wp.launch(
+            admit_pending,
+            dim=count,
+            inputs=[
+                wp.int64(frame.bounds.queue_capacity),
+                self._demand,
+                frame.rays,
+                states,
+                frame.resume,
+                self.group,
+                self._wild,
+                self.counts,
+                self._alone,
+                frame.deferred,
+            ],
+            device=device,
+        )
+
+    def finish(self, light: int, attempt: int) -> None:
+        """Test the rays that are not in the tree."""
+        frame, scene = self._context.frame, self._context.scene
+        answers = self.answers(light)
+        threads = 1 if frame.device.is_cpu else _WILD_THREADS_CUDA
+        inputs = [threads, scene.triangle_count, frame.rays, frame.records, self._wild, self.counts, answers]
+        wp.launch(test_wild, dim=threads, inputs=inputs, device=frame.device)
+        if attempt > 0:
+            inputs = [scene.triangle_count, frame.rays, frame.records, answers, self._alone]
+            wp.launch(test_alone, dim=1, inputs=inputs, device=frame.device)
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        arrays = (self.group, self.counts, self._wild, self._demand, self._alone)
+        return sum(int(array.capacity) for array in arrays)
