@@ -124,6 +124,8 @@ def make_leaves(space: LightSpace, rays: wp.array(dtype=wp.vec4), tree: RayTree)
             box[16 * k] = k >= 3 && k < 6 ? -1.0e30f : 0.0f;
         return;
     }
+    for (int j = 0; j < 16 && first + 64 + j < n; ++j)
+        __builtin_prefetch(rays.data + tree.order.data[first + 64 + j]);
     for (int j = 0; j < 16; ++j) {
         // Lanes without a ray repeat the first one, and are not live.
         const wp::vec4 ray = rays.data[tree.order.data[first + (j < used ? j : 0)]];
@@ -214,21 +216,26 @@ def find_cells(keys: wp.array(dtype=int), tree: RayTree):
     tree.table[entry] = low
 
 
+@wp.func_native(
+    r"""
+    const int count = tree.counts.data[0], shift = 2 * (14 - tree.table_bits), last = 6 << (2 * tree.table_bits);
+    int entry = 0;
+    for (int i = 0; i < count; ++i)
+        for (const int cell = keys.data[i] >> shift; entry <= cell; ++entry)
+            tree.table.data[entry] = i;
+    for (; entry <= last; ++entry)
+        tree.table.data[entry] = count;
+    """
+)
+def sweep(keys: wp.array(dtype=int), tree: RayTree):
+    """The lookup table in one sweep over the keys."""
+    ...
+
+
 @wp.kernel(enable_backward=False)
 def sweep_cells(keys: wp.array(dtype=int), tree: RayTree):
-    """The same in one sweep over the keys, by one thread: for the CPU."""
-    shift = 2 * (CURVE_BITS - tree.table_bits)
-    entry = int(0)
-    count = tree.counts[0]
-    for i in range(count):
-        cell = keys[i] >> shift
-        while entry <= cell:
-            tree.table[entry] = i
-            entry += 1
-    last = FACES << (2 * tree.table_bits)
-    while entry <= last:
-        tree.table[entry] = count
-        entry += 1
+    """``find_cells`` by one thread: for the CPU."""
+    sweep(keys, tree)
 
 
 class RayTreeBuffers:

@@ -26,6 +26,25 @@ CELLS = r"""
     };
     auto least3 = [](float x, float y, float z) { const float m = x < y ? x : y; return m < z ? m : z; };
     auto most3 = [](float x, float y, float z) { const float m = x > y ? x : y; return m > z ? m : z; };
+    // The faces it may touch, as bits: of each face axis it must reach a positive value, and one as large as the least
+    // absolute value of the other axes. Margins are many times the error of corners.
+    auto faces = [&](const wp::vec4& a, const wp::vec4& b, const wp::vec4& c, float size) -> int {
+        float high[3], low[3], least[3];
+        for (int k = 0; k < 3; ++k) {
+            low[k] = least3(a[k], b[k], c[k]);
+            high[k] = most3(a[k], b[k], c[k]);
+            least[k] = (low[k] > 0.0f ? low[k] : high[k] < 0.0f ? -high[k] : 0.0f) - 0x1p-20f * size;
+        }
+        const float side[3] = { least[1] > least[2] ? least[1] : least[2], least[2] > least[0] ? least[2] : least[0],
+                                least[0] > least[1] ? least[0] : least[1] };
+        int bits = 0;
+        for (int k = 0; k < 3; ++k) {
+            const float limit = side[k] > -0x1p-40f * size ? side[k] : -0x1p-40f * size;
+            bits |= (!(high[k] < limit) ? 1 : 0) << 2 * k;
+            bits |= (!(-low[k] < limit) ? 2 : 0) << 2 * k;
+        }
+        return bits;
+    };
     auto look = [&](const wp::vec4& a, const wp::vec4& b, const wp::vec4& c, float size, int face,
                     Seen& seen) -> bool {
         const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
@@ -33,8 +52,6 @@ CELLS = r"""
         const float ma = sign * a[axis], mb = sign * b[axis], mc = sign * c[axis];
         const float front = least3(ma, mb, mc);
         seen.bounded = false;
-        if (most3(ma, mb, mc) < -0x1p-40f * size)
-            return false;
         if (!(front > 0x1p-18f * size))
             return true;
         const wp::vec4 grid = tree.fit.data[face];

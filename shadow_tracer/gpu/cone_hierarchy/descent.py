@@ -22,9 +22,9 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import ACCEPTED, LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
-from shadow_tracer.gpu.cone_hierarchy.occluders import TRIANGLE, Occluders
 from shadow_tracer.gpu.cone_hierarchy.rays import Answers
 from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
+from shadow_tracer.gpu.cone_hierarchy.triangle_planes import TRIANGLE, Occluders
 from shadow_tracer.gpu.light_frame import SHADOWED
 from shadow_tracer.gpu.shadow_test import FILTER
 
@@ -188,9 +188,10 @@ _THREAD = (
     const float size = 1.0f + most3(magnitude_of(a), magnitude_of(b), magnitude_of(c));
     if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)t, it))
         return false;
+    const int touched = size < 1.0e18f ? faces(a, b, c, size) : 63;
     for (int pass = 0; pass < 2; ++pass)
         for (int face = 0; face < 6; ++face) {
-            if (tree.fit.data[face][3] == 0.0f)
+            if (!(touched >> face & 1) || tree.fit.data[face][3] == 0.0f)
                 continue;
             seen.bounded = false;
             if (size < 1.0e18f && !look(a, b, c, size, face, seen))

@@ -8,9 +8,9 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import ACCEPTED, LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
-from shadow_tracer.gpu.cone_hierarchy.occluders import TRIANGLE, Occluders
 from shadow_tracer.gpu.cone_hierarchy.rays import Answers
 from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
+from shadow_tracer.gpu.cone_hierarchy.triangle_planes import TRIANGLE, Occluders
 from shadow_tracer.gpu.shadow_test import FILTER_BLOCK
 
 # Sixteen lanes. `boxes16` answers for the 16 boxes of a group with two bit masks.
@@ -163,9 +163,10 @@ _WIDE = (
         const wp::vec4 a = occluders.corners.data[corner[0]], b = occluders.corners.data[corner[1]],
                        c = occluders.corners.data[corner[2]];
         const float size = 1.0f + most3(magnitude_of(a), magnitude_of(b), magnitude_of(c));
+        const int touched = size < 1.0e18f ? faces(a, b, c, size) : 63;
         bool loaded = false;
         for (int face = 0; face < 6; ++face) {
-            if (tree.fit.data[face][3] == 0.0f)
+            if (!(touched >> face & 1) || tree.fit.data[face][3] == 0.0f)
                 continue;
             seen.bounded = false;
             if (size < 1.0e18f && !look(a, b, c, size, face, seen))

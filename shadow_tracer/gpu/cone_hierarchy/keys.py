@@ -21,6 +21,8 @@ FACES = 6
 CURVE_BITS = 14
 KEY_BITS = 3 + 2 * CURVE_BITS
 CELLS = 2.0**CURVE_BITS
+# Along the Morton curve neighbouring pixels in one of 2^21 cells may stay in image order, which saves a pass of the sort.
+_SORTED_BITS = (7, KEY_BITS)
 LAST_KEY = wp.constant(2**31 - 1)
 
 
@@ -155,6 +157,147 @@ def make_keys(
     wp.atomic_add(counts, 0, 1)
 
 
+# Face and (u, v) of 16 rays from `base` on; lanes behind the last sample repeat it.
+_SIXTEEN = r"""
+    int face[16], taken[16];
+    float u[16], v[16];
+    auto look = [&](int base) -> int {
+        int any = 0;
+        float x[16], y[16], z[16];
+        const int n = count - base < 16 ? count - base : 16;
+        for (int j = 0; j < n; ++j)
+            taken[j] = group.data[base + j] == 1;
+        for (int j = n; j < 16; ++j)
+            taken[j] = 0;
+        for (int j = 0; j < 16; ++j)
+            any |= taken[j];
+        if (!any)
+            return 0;
+        const float* from = (const float*)(rays.data + base);
+        if (n == 16)
+            for (int j = 0; j < 16; ++j)
+                x[j] = from[4 * j], y[j] = from[4 * j + 1], z[j] = from[4 * j + 2];
+        else
+            for (int j = 0; j < 16; ++j)
+                x[j] = from[j < n ? 4 * j : 0], y[j] = from[j < n ? 4 * j + 1 : 1], z[j] = from[j < n ? 4 * j + 2 : 2];
+        for (int j = 0; j < 16; ++j) {
+            const float ax = fabsf(x[j]), ay = fabsf(y[j]), az = fabsf(z[j]);
+            const bool on_x = (ax >= ay) & (ax >= az), on_y = ay >= az;
+            const float major = on_x ? x[j] : on_y ? y[j] : z[j];
+            const float one = on_x ? y[j] : on_y ? z[j] : x[j], two = on_x ? z[j] : on_y ? x[j] : y[j];
+            face[j] = (on_x ? 0 : on_y ? 2 : 4) + (major < 0.0f);
+            u[j] = one / fabsf(major);
+            v[j] = two / fabsf(major);
+        }
+        return any;
+    };
+"""
+
+
+@wp.func_native(
+    _SIXTEEN
+    + r"""
+    float low_u[6], low_v[6], high_u[6], high_v[6];
+    for (int k = 0; k < 6; ++k) {
+        low_u[k] = low_v[k] = 2.0f;
+        high_u[k] = high_v[k] = -2.0f;
+    }
+    for (int base = 0; base < count; base += 16) {
+        if (!look(base))
+            continue;
+        for (int j = 0; j < 16; ++j) {
+            if (!taken[j])
+                continue;
+            const int k = face[j];
+            low_u[k] = u[j] < low_u[k] ? u[j] : low_u[k];
+            low_v[k] = v[j] < low_v[k] ? v[j] : low_v[k];
+            high_u[k] = u[j] > high_u[k] ? u[j] : high_u[k];
+            high_v[k] = v[j] > high_v[k] ? v[j] : high_v[k];
+        }
+    }
+    for (int k = 0; k < 6; ++k) {
+        extent.data[4 * k] = low_u[k];
+        extent.data[4 * k + 1] = low_v[k];
+        extent.data[4 * k + 2] = high_u[k];
+        extent.data[4 * k + 3] = high_v[k];
+    }
+    """
+)
+def measure_all(
+    count: int, rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), extent: wp.array(dtype=float)
+):
+    """``clear_extent`` and ``measure_extent`` in one go."""
+    ...
+
+
+@wp.func_native(
+    _SIXTEEN
+    + r"""
+    int code[16], found = 0;
+    for (int base = 0; base < count; base += 16) {
+        if (!look(base))
+            continue;
+        for (int j = 0; j < 16; ++j) {
+            const wp::vec4 grid = fit.data[face[j]];
+            const float x = (u[j] - grid[0]) * grid[2], y = (v[j] - grid[1]) * grid[2];
+            int cx = (int)(x > 0.0f ? (x < 16383.0f ? x : 16383.0f) : 0.0f);
+            int cy = (int)(y > 0.0f ? (y < 16383.0f ? y : 16383.0f) : 0.0f);
+            cx = (cx | (cx << 8)) & 0x00FF00FF;
+            cy = (cy | (cy << 8)) & 0x00FF00FF;
+            cx = (cx | (cx << 4)) & 0x0F0F0F0F;
+            cy = (cy | (cy << 4)) & 0x0F0F0F0F;
+            cx = (cx | (cx << 2)) & 0x33333333;
+            cy = (cy | (cy << 2)) & 0x33333333;
+            cx = (cx | (cx << 1)) & 0x55555555;
+            cy = (cy | (cy << 1)) & 0x55555555;
+            code[j] = (face[j] << 28) | cx | (cy << 1);
+        }
+        for (int j = 0; j < 16; ++j) {
+            keys.data[found] = code[j];
+            order.data[found] = base + j;
+            found += taken[j] && states.data[base + j] != 1;
+        }
+    }
+    counts.data[0] = found;
+    """
+)
+def pack_keys_block(
+    count: int,
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    group: wp.array(dtype=wp.uint8),
+    fit: wp.array(dtype=wp.vec4),
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+):
+    """``make_keys`` along the Morton curve for all samples, without those that are absent."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def measure_extent_wide(
+    count: int, rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), extent: wp.array(dtype=float)
+):
+    """One thread, on the CPU."""
+    measure_all(count, rays, group, extent)
+
+
+@wp.kernel(enable_backward=False)
+def pack_keys(
+    count: int,
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    group: wp.array(dtype=wp.uint8),
+    fit: wp.array(dtype=wp.vec4),
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+):
+    """One thread, on the CPU."""
+    pack_keys_block(count, rays, states, group, fit, keys, order, counts)
+
+
 class RayOrder:
     """Tree rays in the order of a curve: ``order[:n]`` are their sample indices, n = ``participants.counts[0]`` (on the
     device), the rest follows in no order. ``fit`` describes the cells of each face (``fit_cells``)."""
@@ -173,15 +316,22 @@ class RayOrder:
     def sort(self, light: int) -> None:
         """Order the tree rays of light number ``light`` that are not known to be in shadow."""
         frame, who = self._context.frame, self._participants
-        device, count = frame.device, frame.count
+        device, count, states = frame.device, frame.count, frame.states[light]
+        if device.is_cpu and not self._hilbert:
+            # One thread: it can pack the keys of present rays as it goes, so that only they are sorted.
+            wp.launch(measure_extent_wide, dim=1, inputs=[count, frame.rays, who.group, self._extent], device=device)
+            wp.launch(fit_cells, dim=FACES, inputs=[self._extent, self.fit], device=device)
+            inputs = [count, frame.rays, states, who.group, self.fit, self.keys, self.order, who.counts]
+            wp.launch(pack_keys, dim=1, inputs=inputs, device=device)
+            self._sort.sort(int(who.counts.numpy()[0]), *_SORTED_BITS)
+            return
         who.counts[0:1].zero_()
         wp.launch(clear_extent, dim=4 * FACES, inputs=[self._extent], device=device)
         wp.launch(measure_extent, dim=count, inputs=[frame.rays, who.group, self._extent], device=device)
         wp.launch(fit_cells, dim=FACES, inputs=[self._extent, self.fit], device=device)
-        states = frame.states[light]
         inputs = [self._hilbert, frame.rays, states, who.group, self.fit, self.keys, self.order, who.counts]
         wp.launch(make_keys, dim=count, inputs=inputs, device=device)
-        self._sort.sort(count, KEY_BITS)
+        self._sort.sort(count, 0, KEY_BITS)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -10,9 +10,9 @@ from shadow_tracer.gpu.cone_hierarchy import descent, descent_wide
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTreeBuffers
 from shadow_tracer.gpu.cone_hierarchy.corners import Corners
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
-from shadow_tracer.gpu.cone_hierarchy.occluders import Occluders
 from shadow_tracer.gpu.cone_hierarchy.rays import Participants
 from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, make_light_space
+from shadow_tracer.gpu.cone_hierarchy.triangle_planes import Occluders
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.triangles import Context
 

@@ -35,6 +35,8 @@ IN_TREE = wp.constant(1)
 WILD = wp.constant(2)
 
 _WILD_THREADS_CUDA = 16384
+# Samples per thread on the CPU.
+_BLOCK = wp.constant(256)
 
 
 @wp.struct
@@ -87,6 +89,63 @@ def admit_all(
         admit(i, ray, group, wild, counts)
     else:
         group[i] = wp.uint8(ABSENT)
+
+
+# admit_all for a block of up to 256 samples; the first loop is for vector registers.
+@wp.func_native(
+    r"""
+    wp::uint8 kind[256];
+    const int n = count - first < 256 ? count - first : 256;
+    const wp::vec4* ray = rays.data + first;
+    const wp::uint8* state = states.data + first;
+    int wilds = 0;
+    for (int j = 0; j < n; ++j) {
+        const float x = fabsf(ray[j][0]), y = fabsf(ray[j][1]), z = fabsf(ray[j][2]);
+        float size = x > y ? x : y;
+        size = size > z ? size : z;
+        const float sum = x + y + z + fabsf(ray[j][3]) + 1.0f;
+        const int fits = (sum <= 4194304.0f * size) & (sum < 1.0e30f);
+        const int takes_part = ((state[j] == 0) | (state[j] == 4)) & (ray[j][0] == ray[j][0]);
+        kind[j] = (wp::uint8)(takes_part * (2 - fits));
+        wilds += takes_part & (1 - fits);
+    }
+    for (int j = 0; j < n; ++j) {
+        group.data[first + j] = kind[j];
+        resume.data[first + j] = 0;
+    }
+    for (int j = 0; wilds > 0; ++j)
+        if (kind[j] == 2) {
+            wild.data[counts.data[1]++] = first + j;
+            --wilds;
+        }
+    """
+)
+def admit_block(
+    first: int,
+    count: int,
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    resume: wp.array(dtype=int),
+    group: wp.array(dtype=wp.uint8),
+    wild: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+):
+    """``admit_all`` for the samples from ``first`` on."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def admit_blocks(
+    count: int,
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    resume: wp.array(dtype=int),
+    group: wp.array(dtype=wp.uint8),
+    wild: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+):
+    """``admit_all`` on the CPU."""
+    admit_block(_BLOCK * wp.tid(), count, rays, states, resume, group, wild, counts)
 
 
 @wp.kernel(enable_backward=False)
@@ -216,7 +275,10 @@ class Participants:
         self.counts.zero_()
         if attempt == 0:
             inputs = [frame.rays, states, frame.resume, self.group, self._wild, self.counts]
-            wp.launch(admit_all, dim=count, inputs=inputs, device=device)
+            if device.is_cpu:
+                wp.launch(admit_blocks, dim=-(-count // _BLOCK), inputs=[count, *inputs], device=device)
+            else:
+                wp.launch(admit_all, dim=count, inputs=inputs, device=device)
             return
         if attempt == 1:
             self._alone.fill_(-1)
