@@ -50,6 +50,7 @@ class RayTree:
     table: wp.array(dtype=int)  # first ray of each cell, in key order; one more at the end
     fit: wp.array(dtype=wp.vec4)
     counts: wp.array(dtype=int)
+    visits: wp.array(dtype=int)  # times each node was looked at, if it has room for them (``count_visits``)
 
 
 @wp.func
@@ -269,7 +270,14 @@ class RayTreeBuffers:
         tree.table = wp.empty((FACES << (2 * _MOST_TABLE_BITS)) + 1, dtype=int, device=device)
         tree.fit = order.fit
         tree.counts = participants.counts
+        tree.visits = wp.empty(0, dtype=int, device=device)
         self.tree = tree
+
+    def count_visits(self) -> wp.array:
+        """From now on count how often each node is looked at (not in the wide form of the descent): for pictures.
+        Returns the counts, which the caller clears."""
+        self.tree.visits = wp.zeros(self._offsets[-1], dtype=int, device=self._context.frame.device)
+        return self.tree.visits
 
     def build(self, frame: LightFrame, space: LightSpace) -> None:
         """Leaves, boxes and lookup table over the rays in ``order``; the launches depend on the number of samples

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import ACCEPTED, LEAF_TESTS, NODES_VISITED
+from shadow_tracer.gpu.buffers import PASSES
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
 from shadow_tracer.gpu.cone_hierarchy.rays import Answers
 from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
@@ -68,6 +68,8 @@ _THREAD = (
     };
     // 0: rejected; 1: has to be opened; 2: accepted.
     auto box1 = [&](int number) -> int {
+        if (number < tree.visits.shape[0])
+            wp::atomic_add(&tree.visits.data[number], 1);
         const float* b = box_of(number);
         const float e[3] = { b[3 * branch], b[4 * branch], b[5 * branch] };
         if (e[0] < 0.0f)
@@ -216,9 +218,6 @@ def descend_small(
     tree: RayTree,
     occluders: Occluders,
     answers: Answers,
-    nodes_visited: int,
-    leaf_tests: int,
-    accepted_nodes: int,
 ) -> bool:
     """Triangle number ``thread`` from its own cells; True if nothing was done because it is too large."""
     ...
@@ -248,9 +247,6 @@ def descend_chunk(
     tree: RayTree,
     occluders: Occluders,
     answers: Answers,
-    nodes_visited: int,
-    leaf_tests: int,
-    accepted_nodes: int,
 ):
     """A triangle through chunk number ``chunk`` of the leaves."""
     ...
@@ -267,7 +263,9 @@ def descend_triangles(
 ):
     """One thread per triangle; the large ones go to the list ``big``."""
     t = wp.tid()
-    if descend_small(t, SMALL_RUN, space, tree, occluders, answers, NODES_VISITED, LEAF_TESTS, ACCEPTED):
+    if t == 0:
+        wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
+    if descend_small(t, SMALL_RUN, space, tree, occluders, answers):
         big[wp.atomic_add(big_count, 0, 1)] = t
 
 
@@ -298,9 +296,6 @@ def descend_big(
             tree,
             occluders,
             answers,
-            NODES_VISITED,
-            LEAF_TESTS,
-            ACCEPTED,
         )
         k += wp.int64(stride)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import ACCEPTED, LEAF_TESTS, NODES_VISITED
+from shadow_tracer.gpu.buffers import PASSES
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
 from shadow_tracer.gpu.cone_hierarchy.rays import Answers
 from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
@@ -197,9 +197,6 @@ def descend_all(
     tree: RayTree,
     occluders: Occluders,
     answers: Answers,
-    nodes_visited: int,
-    leaf_tests: int,
-    accepted_nodes: int,
 ):
     """All triangles, one after the other."""
     ...
@@ -208,4 +205,5 @@ def descend_all(
 @wp.kernel(enable_backward=False)
 def descend_wide(space: LightSpace, tree: RayTree, occluders: Occluders, answers: Answers):
     """One thread."""
-    descend_all(space, tree, occluders, answers, NODES_VISITED, LEAF_TESTS, ACCEPTED)
+    wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
+    descend_all(space, tree, occluders, answers)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.buffers import ACCEPTED, LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.cone_hierarchy.cells import CELLS
 
 
@@ -21,6 +22,7 @@ class Occluders:
 # A triangle's planes over light space, and what becomes of its uncertain pairs. `load` is false for triangles that cast
 # nothing; `blind` triangles have a record with a value that is not finite, and no box may be judged by it.
 TRIANGLE = (
+    f"const int nodes_visited = {NODES_VISITED}, leaf_tests = {LEAF_TESTS}, accepted_nodes = {ACCEPTED};\n"
     "const bool inverse_mode = space.inverse != 0;\n"
     + CELLS
     + r"""
