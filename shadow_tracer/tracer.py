@@ -79,7 +79,8 @@ class Frame:
         """What was done for all lights together: ``rays`` traced, ``nodes_visited`` of a tree, ``leaf_tests`` of the
         float32 filter, ``retested`` pairs it could not decide, ``exact`` determinants that needed expansion arithmetic,
         ``overflow_passes`` because the queue was full; and of the scene: ``triangles``, ``degenerate`` ones among them
-        that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not finite)."""
+        that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not finite), and
+        ``culled`` ones, which cast nothing because their front faces the last light and front faces are culled."""
         self._states = states
 
     def state(self, name: str) -> ByteImage:
@@ -126,9 +127,10 @@ class ShadowTracer:
         variant: a variant of it; None is its default.
         device: "cpu", "cuda:0", ...; None is the best there is.
         bounds: capacities of all buffers, which are allocated here and never grow.
+        front_face_culling: see the property of that name.
 
     Raises:
-        ValueError: an unknown name; the message lists the known ones.
+        ValueError: an unknown name, the message lists the known ones; or ``front_face_culling`` is not a bool.
         ImportError: Warp is not installed; the message says how to install it.
     """
 
@@ -138,6 +140,8 @@ class ShadowTracer:
         variant: str | None = None,
         device: str | None = None,
         bounds: Bounds | None = None,
+        *,
+        front_face_culling: bool = False,
     ) -> None:
         self._names = resolve(pipeline, variant)
         self._bounds = bounds or Bounds()
@@ -148,6 +152,7 @@ class ShadowTracer:
                 raise
             raise ImportError("shadow_tracer needs NVIDIA Warp to trace: pip install 'warp-lang>=1.19'") from error
         self._engine = engine.Engine(devices.pick_device(device), self._bounds, *self._names)
+        self.front_face_culling = front_face_culling
         self.scene = Scene(self._bounds)
         """The world; change it through its methods between frames."""
 
@@ -170,6 +175,23 @@ class ShadowTracer:
     def bounds(self) -> Bounds:
         """Declared capacities."""
         return self._bounds
+
+    @property
+    def front_face_culling(self) -> bool:
+        """Whether triangles whose front faces the light cast nothing; may be set between frames, off by default.
+
+        The front is the side from which the corners are seen counter-clockwise. Only for closed surfaces whose fronts
+        look outwards: their backs cast the same shadows on everything else, and a lit surface cannot shadow itself,
+        however noisy its depth. A surface turned away from the light needs a bias of nearly zero then, for it is lit
+        where the bias carries a sample to the inside. Through anything not closed, light passes from the front.
+        """
+        return self._engine.front_face_culling
+
+    @front_face_culling.setter
+    def front_face_culling(self, value: bool) -> None:
+        if not isinstance(value, (bool, np.bool_)):
+            raise ValueError(f"front_face_culling: expected True or False, got {value!r}")
+        self._engine.front_face_culling = bool(value)
 
     @property
     def device_bytes(self) -> int:

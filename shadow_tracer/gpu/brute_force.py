@@ -19,6 +19,7 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.buffers import EXACT, LEAF_TESTS, RETESTED, Change
+from shadow_tracer.gpu.exact import determinant_sign
 from shadow_tracer.gpu.light_frame import PENDING, SHADOWED, LightFrame
 from shadow_tracer.gpu.shadow_test import (
     FILTER_BLOCK,
@@ -165,6 +166,7 @@ def test_all_blocks(
 @wp.kernel(enable_backward=False)
 def test_all_float64(
     light: wp.vec4d,
+    cull: int,
     triangle_count: int,
     samples: wp.array(dtype=wp.vec4d),
     vertices: wp.array(dtype=wp.vec3d),
@@ -183,7 +185,10 @@ def test_all_float64(
         a = vertices[corners[0]]
         b = vertices[corners[1]]
         c = vertices[corners[2]]
-        if wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c):
+        casts = wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)
+        if casts and cull != 0:
+            casts = determinant_sign(light, b, c, a) < 0  # else its front faces the light
+        if casts:
             tests += 1
             answer = decide(samples[i], light, a, b, c)
             exact += answer >> 1
@@ -216,6 +221,7 @@ class BruteForce:
                     dim=buffers.count,
                     inputs=[
                         frame.light,
+                        int(self._context.records.front_face_culling),
                         scene.triangle_count,
                         buffers.samples,
                         scene.vertices,

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu import light_frame, shadow_test, unproject
+from shadow_tracer.gpu import light_frame, projection, shadow_test, unproject
 from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
 from shadow_tracer.gpu.light_frame import Anchor, make_anchor, make_light_frame
 from shadow_tracer.gpu.pipelines import Pipeline, make_pipeline
@@ -54,6 +54,15 @@ class Engine:
         """Use another pipeline from the next frame on; the old one's buffers are freed."""
         self._pipeline = make_pipeline(pipeline, variant, self._context)
 
+    @property
+    def front_face_culling(self) -> bool:
+        """Whether triangles whose front faces the light cast nothing."""
+        return self._context.records.front_face_culling
+
+    @front_face_culling.setter
+    def front_face_culling(self, value: bool) -> None:
+        self._context.records.front_face_culling = value
+
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         return self._frame.nbytes() + self._scene.nbytes() + self._pipeline.nbytes()
@@ -74,18 +83,7 @@ class Engine:
         frame.width = camera.width
         with self.stages.stage("unproject"):
             self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
-            wp.launch(
-                unproject.unproject,
-                dim=frame.count,
-                inputs=[
-                    _pinhole(camera, bias),
-                    wp.float64(1.0 if metres else 1000.0),
-                    target,
-                    frame.samples,
-                    frame.valid,
-                ],
-                device=self.device,
-            )
+            unproject.unproject_image(_pinhole(camera, bias), target, frame)
         self._pipeline.update(change)
         return self._trace_lights(lights)
 
@@ -116,12 +114,7 @@ class Engine:
         light_frames = [make_light_frame(light, self._anchor) for light in lights]
         for index, light in enumerate(light_frames):
             with self.stages.stage("project"):
-                wp.launch(
-                    light_frame.project_samples,
-                    dim=frame.count,
-                    inputs=[light, 0, frame.samples, frame.valid, frame.rays, frame.states[index], frame.counters],
-                    device=self.device,
-                )
+                projection.project(light, frame, index, 0)
             self._attempt(light, index, 0)
         passes = self._finish_overflow(light_frames)
         with self.stages.stage("download"):
@@ -129,6 +122,7 @@ class Engine:
             counters = frame.read_counters()
         counters["triangles"] = self._scene.triangle_count
         counters["degenerate"] = int(frame.degenerate.numpy().sum()) if self._scene.triangle_count else 0
+        counters["culled"] = self._context.records.culled if self._scene.triangle_count else 0
         counters["overflow_passes"] = passes
         self._pipeline.learn(counters)
         return Traced(states, self.stages.read(), counters)
@@ -165,12 +159,7 @@ class Engine:
         for index in np.flatnonzero(counts > self.bounds.queue_capacity):
             light = light_frames[index]
             with self.stages.stage("project"):
-                wp.launch(
-                    light_frame.project_samples,
-                    dim=frame.count,
-                    inputs=[light, 1, frame.samples, frame.valid, frame.rays, frame.states[index], frame.counters],
-                    device=self.device,
-                )
+                projection.project(light, frame, int(index), 1)
             attempt, overflowed = 1, True
             while overflowed:
                 frame.queue_count_of[index].zero_()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One homogeneous frame for near, far and directional lights, and what samples and triangles look like in it.
+"""One homogeneous frame for near, far and directional lights.
 
 With an anchor (centre C and scale S near the samples), f the unit vector from C to the light, r and s orthogonal to
 it, R the distance to the light and H = max(R, S), a point x gets::
@@ -10,7 +10,7 @@ it, R the distance to the light and H = max(R, S), a point x gets::
 in it without a constant; (U, V, Z) is the position itself, for the triangle's own plane. For a directional light R/H =
 1 and S/H = 0: the same formulas, no loss of precision however far the light is. Only this frame is float32; it feeds
 the filter of ``shadow_test.py``, whose bounds account for every rounding here (``docs/exactness.md``). The exact
-decision never uses it.
+decision never uses it. ``projection.py`` brings samples into it, ``triangle_setup.py`` triangles.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.buffers import RAYS
-from shadow_tracer.gpu.exact import ARITHMETIC, determinant_sign
+from shadow_tracer.gpu.exact import ARITHMETIC
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.lights import Light
 
@@ -31,13 +30,6 @@ SHADOWED = wp.constant(1)
 OUTSIDE = wp.constant(2)
 INVALID = wp.constant(3)
 PENDING = wp.constant(4)
-
-# Unit roundoff of float32, and the factor in front of it: the filter's evaluation chain has at most 6 roundings, 8 are
-# allowed.
-_U32 = 2.0**-24
-FILTER_FACTOR = 8.0
-# Bound of the float64 errors of frame coordinates and of products of them, relative to the magnitudes involved.
-_SETUP_ERROR = 2.0**-46
 
 
 @wp.struct
@@ -158,142 +150,3 @@ def frame_coordinates(frame: LightFrame, offset: wp.vec3d) -> wp.vec4d:
     x = offset * frame.inverse_scale
     z = wp.dot(frame.f, x)
     return wp.vec4d(wp.dot(frame.r, x), wp.dot(frame.s, x), frame.w_constant - frame.w_slope * z, z)
-
-
-@wp.kernel(enable_backward=False)
-def project_samples(
-    frame: LightFrame,
-    again: int,
-    samples: wp.array(dtype=wp.vec4d),
-    valid: wp.array(dtype=wp.uint8),
-    rays: wp.array(dtype=wp.vec4),
-    states: wp.array(dtype=wp.uint8),
-    counters: wp.array2d(dtype=wp.int64),
-):
-    """Ray of each sample in the light's frame (the biased start point), and its state before tracing. With ``again``,
-    only the rays of samples whose tracing is not finished, and no state."""
-    i = wp.tid()
-    if again != 0 and states[i] != wp.uint8(PENDING):
-        return
-    if valid[i] == wp.uint8(0):
-        states[i] = wp.uint8(INVALID)
-        return
-    sample = samples[i]
-    p = wp.vec3d(sample[0], sample[1], sample[2])
-    bias = sample[3]
-    state = light_reaches(p, frame.light, frame.axis, frame.cosine, frame.reach)
-    if state == LIT:
-        way = towards_light(p, frame.light)
-        start = p - frame.center + wp.vec3d(way[0], way[1], way[2]) * bias
-        if bias >= way[3]:
-            # Nothing lies between the biased start and the light. A start beyond the light would turn the filter's
-            # planes around, so there is no ray: NaN says so (is_ray), and the sample stays lit as the exact decision
-            # has it.
-            rays[i] = wp.vec4(float(wp.nan), 0.0, 0.0, 0.0)
-        else:
-            c = frame_coordinates(frame, start)
-            rays[i] = wp.vec4(float(c[0]), float(c[1]), float(c[2]), float(c[3]))
-            if bias * frame.inverse_scale > wp.float64(0.5):
-                # The sum above may cancel beyond the bound of the filter; infinity is a maybe for everything.
-                rays[i] = wp.vec4(float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
-            if again == 0:
-                wp.atomic_add(counters, i & 63, RAYS, wp.int64(1))
-    if again == 0:
-        states[i] = wp.uint8(state)
-
-
-@wp.func
-def largest(v: wp.vec3d) -> wp.float64:
-    return wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.abs(v[2]))
-
-
-@wp.func
-def edge_plane(a: wp.vec4d, e: wp.vec4d) -> wp.vec4d:
-    """Plane through the light and an edge from ``a`` along ``e``: a x e in (U, V, W), scaled to largest component 1,
-    and its relative error. ``e`` is a difference taken before rounding: a x (b - a), never a x b."""
-    n = wp.cross(wp.vec3d(a[0], a[1], a[2]), wp.vec3d(e[0], e[1], e[2]))
-    size = largest(n)
-    reach = wp.float64(1.0) + wp.abs(a[0]) + wp.abs(a[1]) + wp.abs(a[2]) + wp.abs(a[3])
-    length = wp.abs(e[0]) + wp.abs(e[1]) + wp.abs(e[2]) + wp.abs(e[3])
-    n = n / size
-    return wp.vec4d(n[0], n[1], n[2], wp.float64(_SETUP_ERROR) * reach * length / size)
-
-
-@wp.func
-def edge_difference(frame: LightFrame, e: wp.vec3d) -> wp.vec4d:
-    """Difference of the frame coordinates of two points whose difference in the world is ``e``."""
-    x = e * frame.inverse_scale
-    z = wp.dot(frame.f, x)
-    return wp.vec4d(wp.dot(frame.r, x), wp.dot(frame.s, x), -frame.w_slope * z, z)
-
-
-@wp.func
-def never_record(triangle: int, records: wp.array2d(dtype=wp.vec4)):
-    """A record whose plane test is a certain no: g = 0 - 1 < -0."""
-    zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    records[triangle, 0] = zero
-    records[triangle, 1] = zero
-    records[triangle, 2] = zero
-    records[triangle, 3] = wp.vec4(0.0, 0.0, 0.0, 1.0)
-
-
-@wp.kernel(enable_backward=False)
-def prepare_triangles(
-    frame: LightFrame,
-    factor: wp.float64,
-    vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array(dtype=wp.vec3i),
-    records: wp.array2d(dtype=wp.vec4),
-    degenerate: wp.array(dtype=int),
-):
-    """Four planes and their error bounds per triangle, float64 rounded once: (n_ab, s_e) (n_bc, s_N) (n_ca, s_D) (N,
-    D)."""
-    i = wp.tid()
-    corners = triangles[i]
-    a = vertices[corners[0]]
-    b = vertices[corners[1]]
-    c = vertices[corners[2]]
-    if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
-        never_record(i, records)
-        wp.atomic_add(degenerate, i & 63, 1)
-        return
-    side = determinant_sign(frame.light, b, c, a)
-    if side == 0:
-        # Zero area, or seen exactly edge-on from the light.
-        never_record(i, records)
-        wp.atomic_add(degenerate, i & 63, 1)
-        return
-    ab = b - a
-    ac = c - a
-    va = frame_coordinates(frame, a - frame.center)
-    vb = frame_coordinates(frame, b - frame.center)
-    vc = frame_coordinates(frame, c - frame.center)
-    eab = edge_difference(frame, ab)
-    eac = edge_difference(frame, ac)
-    p0 = edge_plane(va, eab)
-    p1 = edge_plane(vb, edge_difference(frame, c - b))
-    p2 = edge_plane(vc, edge_difference(frame, a - c))
-    sign = wp.float64(1.0)
-    if side < 0:
-        sign = wp.float64(-1.0)
-    u32 = wp.float64(_U32)
-    edge_error = wp.max(wp.max(p0[3], p1[3]), p2[3])
-    s_edge = factor * u32 + wp.float64(2.0) * edge_error
-
-    e1 = wp.vec3d(eab[0], eab[1], eab[3])
-    e2 = wp.vec3d(eac[0], eac[1], eac[3])
-    n = wp.cross(e1, e2)
-    size = largest(n)
-    l1 = wp.abs(e1[0]) + wp.abs(e1[1]) + wp.abs(e1[2])
-    l2 = wp.abs(e2[0]) + wp.abs(e2[1]) + wp.abs(e2[2])
-    n_error = wp.float64(_SETUP_ERROR) * l1 * l2 / size
-    # The frame (r, s, f) is right-handed, so det[U V Z] keeps the sign; the light's side of the plane becomes negative.
-    n = n * (-sign / size)
-    d = n[0] * va[0] + n[1] * va[1] + n[2] * va[3]
-    extent = wp.float64(1.0) + wp.abs(va[0]) + wp.abs(va[1]) + wp.abs(va[3])
-    s_plane = factor * u32 + wp.float64(2.0) * n_error
-    s_offset = factor * u32 * wp.abs(d) + wp.float64(2.0) * (n_error + wp.float64(_SETUP_ERROR)) * extent
-    records[i, 0] = wp.vec4(float(sign * p0[0]), float(sign * p0[1]), float(sign * p0[2]), float(s_edge))
-    records[i, 1] = wp.vec4(float(sign * p1[0]), float(sign * p1[1]), float(sign * p1[2]), float(s_plane))
-    records[i, 2] = wp.vec4(float(sign * p2[0]), float(sign * p2[1]), float(sign * p2[2]), float(s_offset))
-    records[i, 3] = wp.vec4(float(n[0]), float(n[1]), float(n[2]), float(d))

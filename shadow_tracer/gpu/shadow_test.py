@@ -10,8 +10,8 @@ Sample p, light l, triangle a, b, c. With D the side of the triangle's plane the
 No clipping, no projection and no intersection point is needed, wherever the corners are, beside or behind the light
 included.
 
-Two tiers. ``filter_pair`` is float32 on the records of ``light_frame.prepare_triangles``: 12 multiply-adds, 64 bytes a
-triangle, with an error bound; it answers no, yes or *maybe*. Pairs it cannot decide go to a bounded queue, and
+Two tiers. ``filter_pair`` is float32 on the records of ``triangle_setup.py``: 12 multiply-adds, 64 bytes a triangle,
+with an error bound; it answers no, yes or *maybe*. Pairs it cannot decide go to a bounded queue, and
 ``resolve_queue`` decides them from the scene's float64 coordinates with exact signs (``exact.py``). A yes or no of the
 filter is proven to be what the exact decision would say, so a pipeline is right as soon as it shows every triangle
 that could matter to this test, in any order.

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the triangle records of one light: made again only when the light, the anchor or the scene has changed."""
+"""Keeps the triangle records of one light: made again only when the light, the anchor, the scene or the
+culling has changed."""
 
 from __future__ import annotations
 
@@ -7,41 +8,39 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from shadow_tracer.gpu import light_frame
 from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.stages import Stages
+from shadow_tracer.gpu.triangle_setup import prepare
 
 
 class TriangleRecords:
-    """The records in ``FrameBuffers.records`` and what they were made for."""
+    """The records in ``FrameBuffers.records`` and what they were made for.
+
+    Attributes:
+        front_face_culling: whether triangles whose front faces the light cast nothing; may change between frames.
+    """
 
     def __init__(self, frame: FrameBuffers, scene: SceneBuffers) -> None:
+        self.front_face_culling = False
         self._frame = frame
         self._scene = scene
+        self._culled = wp.zeros(frame.degenerate.shape[0], dtype=int, device=frame.device)
         self._made_for: tuple[object, ...] | None = None
+
+    @property
+    def culled(self) -> int:
+        """Triangles that cast nothing for the last light because of front-face culling. Waits for the device."""
+        return int(self._culled.numpy().sum()) if self.front_face_culling else 0
 
     def prepare(self, frame: LightFrame) -> None:
         """Make the records for the light of ``frame`` unless they are there."""
-        buffers, scene = self._frame, self._scene
-        key = (tuple(frame.light), tuple(frame.center), frame.inverse_scale, scene.version)
+        scene = self._scene
+        key = (tuple(frame.light), tuple(frame.center), frame.inverse_scale, scene.version, self.front_face_culling)
         if key == self._made_for or scene.triangle_count == 0:
             return
         self._made_for = key
-        buffers.degenerate.zero_()
-        wp.launch(
-            light_frame.prepare_triangles,
-            dim=scene.triangle_count,
-            inputs=[
-                frame,
-                light_frame.FILTER_FACTOR,
-                scene.vertices,
-                scene.triangles,
-                buffers.records,
-                buffers.degenerate,
-            ],
-            device=buffers.device,
-        )
+        prepare(frame, scene, self._frame, self.front_face_culling, self._culled)
 
 
 @dataclass(frozen=True)

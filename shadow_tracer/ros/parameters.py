@@ -126,6 +126,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("bias.quadratic", DOUBLE, 0.003,
               "Added to bias.constant times the square of the depth: the noise of stereo and structured light grows "
               "so.", "1/m", 0.0, 1.0),
+    Parameter("front_face_culling", BOOL, False,
+              "Triangles whose front (corners counter-clockwise) faces the light cast nothing, their backs do. Only "
+              "for closed meshes with outward fronts, and with a bias of nearly zero."),
     Parameter("mask.unknown_value", INTEGER, 0,
               "Mask value where nothing is known: invalid depth, or a missing camera_info, transform or light. 255 "
               "means lit and is refused.", low=0, high=254),

@@ -132,6 +132,7 @@ class Processor:
         try:
             self._mesh.update(tracer.scene, job.mesh_to_world, now)
             watch.lap("mesh")
+            tracer.front_face_culling = settings.front_face_culling
             traced = tracer.trace(frame.depth, job.camera, job.lights, bias=settings.bias)
             watch.lap("trace")
             mask = traced.mask(unknown=settings.unknown_value)

@@ -66,6 +66,7 @@ class Settings:
     lights: tuple[LightSettings, ...]
     bias_constant: float
     bias_quadratic: float
+    front_face_culling: bool
     unknown_value: int
     max_triangles: int
     max_rays: int

@@ -156,7 +156,7 @@ def test_the_package_passes_the_same_scenes(tracer: Any) -> None:
 def test_a_filter_that_is_always_sure_leaks(any_device: str, pipeline: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The package with the float32 rounding bound of its filter set to nothing: hardly anything is re-tested, and
     the sphere leaks."""
-    from shadow_tracer.gpu import light_frame
+    from shadow_tracer.gpu import triangle_setup
 
     vertices, triangles, samples = _sphere()
 
@@ -168,7 +168,7 @@ def test_a_filter_that_is_always_sure_leaks(any_device: str, pipeline: str, monk
         return int((~tracer.occluded(samples, PointLight("lamp", _INSIDE))).sum())
 
     assert leaks() == 0
-    monkeypatch.setattr(light_frame, "FILTER_FACTOR", 0.0)
+    monkeypatch.setattr(triangle_setup, "FILTER_FACTOR", 0.0)
     assert leaks() > 0, "the watertight test does not notice a filter without a bound"
 
 

@@ -106,6 +106,19 @@ def test_pipelines_can_be_switched_and_give_the_same_mask(rig: Rig) -> None:
     assert rig.value(PROCESSING, "faults") == "0"
 
 
+def test_front_faces_are_culled_if_asked_for(rig: Rig) -> None:
+    """The plate shows the light its back; turned over, its front."""
+    vertices, triangles = plate()
+    shadow = rig.trace(wall())
+    assert rig.set(front_face_culling=True) == ""
+    np.testing.assert_array_equal(rig.trace(wall()), shadow)
+    rig.send_mesh(vertices, triangles[:, ::-1])
+    culled = rig.trace(wall())
+    assert (culled == 255).sum() == culled.size - 1 and (shadow == 0).sum() > 100
+    assert rig.set(front_face_culling=False) == ""
+    np.testing.assert_array_equal(rig.trace(wall()), shadow)
+
+
 def test_lights_come_and_go(rig: Rig) -> None:
     lamp_only = rig.trace(wall())
     assert rig.set(lights=["lamp", "sun"]) == ""

@@ -59,6 +59,7 @@ BAD = [
     ("bias.constant", True, "bias.constant: expected double (0 to 10 m), got True"),
     ("bias.constant", "0.1", "bias.constant: expected double (0 to 10 m), got '0.1'"),
     ("bias.quadratic", -1.0, "bias.quadratic: expected double (0 to 1 1/m), got -1.0"),
+    ("front_face_culling", "on", "front_face_culling: expected bool, got 'on'"),
     ("mask.unknown_value", 255, "mask.unknown_value: expected integer (0 to 254), got 255"),
     ("mask.unknown_value", 1.0, "mask.unknown_value: expected integer"),
     ("bounds.max_triangles", 0, "bounds.max_triangles: expected integer (1 to 238609294), got 0"),
