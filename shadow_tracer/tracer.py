@@ -128,6 +128,10 @@ class ShadowTracer:
         device: "cpu", "cuda:0", ...; None is the best there is.
         bounds: capacities of all buffers, which are allocated here and never grow.
         front_face_culling: see the property of that name.
+        graphs: whether the launches of a frame are recorded and replayed as one where the pipeline allows it
+            (``cone_hierarchy/linear`` on CUDA does); :attr:`Frame.stages` then has one stage ``graph`` for all of
+            them. None is yes on CUDA and no on the CPU, where recording is an experiment of Warp's and
+            ``linear_scalar`` the one variant that allows it.
 
     Raises:
         ValueError: an unknown name, the message lists the known ones; or ``front_face_culling`` is not a bool.
@@ -136,12 +140,13 @@ class ShadowTracer:
 
     def __init__(
         self,
-        pipeline: str = "mesh_bvh",
+        pipeline: str = "cone_hierarchy",
         variant: str | None = None,
         device: str | None = None,
         bounds: Bounds | None = None,
         *,
         front_face_culling: bool = False,
+        graphs: bool | None = None,
     ) -> None:
         self._names = resolve(pipeline, variant)
         self._bounds = bounds or Bounds()
@@ -151,7 +156,7 @@ class ShadowTracer:
             if error.name != "warp":
                 raise
             raise ImportError("shadow_tracer needs NVIDIA Warp to trace: pip install 'warp-lang>=1.19'") from error
-        self._engine = engine.Engine(devices.pick_device(device), self._bounds, *self._names)
+        self._engine = engine.Engine(devices.pick_device(device), self._bounds, *self._names, graphs)
         self.front_face_culling = front_face_culling
         self.scene = Scene(self._bounds)
         """The world; change it through its methods between frames."""

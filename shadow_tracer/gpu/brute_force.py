@@ -202,6 +202,8 @@ def test_all_float64(
 class BruteForce:
     """The ``brute_force`` pipeline."""
 
+    recordable = False
+
     def __init__(self, variant: str, context: Context) -> None:
         self._variant = variant
         self._context = context

@@ -7,6 +7,7 @@ does (queue length, counters). Nothing here allocates per frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -15,6 +16,8 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer.gpu.exact import transform_point
+from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.pinhole import Pinhole
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.mesh import Mesh, Scene
@@ -53,6 +56,23 @@ def upload(destination: wp.array, source: np.ndarray, offset: int = 0) -> None:
         wp.copy(destination, host, dest_offset=offset, count=count)
 
 
+class HostValues:
+    """A few structs that the host writes and kernels read: from memory and not as arguments, so that recorded launches
+    see new values."""
+
+    def __init__(self, dtype: Any, capacity: int, device: Any) -> None:
+        self.array = wp.zeros(capacity, dtype=dtype, device=device)
+        self.staging = self.array if device.is_cpu else wp.zeros(capacity, dtype=dtype, device="cpu", pinned=True)
+
+    def write(self, values: Sequence[Any]) -> None:
+        """Make the first elements of ``array`` equal to ``values``."""
+        target = self.staging.numpy()
+        for index, value in enumerate(values):
+            target[index] = value.numpy_value()
+        if self.staging is not self.array:
+            wp.copy(self.array, self.staging, count=len(values))
+
+
 class FrameBuffers:
     """Everything a frame needs on the device: samples, rays, states, queue, triangle records, counters."""
 
@@ -65,6 +85,10 @@ class FrameBuffers:
         self.samples = wp.empty(rays, dtype=wp.vec4d, device=device)
         self.valid = wp.empty(rays, dtype=wp.uint8, device=device)
         self.rays = wp.empty(rays, dtype=wp.vec4, device=device)
+        self._pinhole = HostValues(Pinhole, 1, device)
+        self._light_frames = HostValues(LightFrame, bounds.max_lights, device)
+        self.pinhole = self._pinhole.array
+        self.light_frame_of = [self._light_frames.array[k : k + 1] for k in range(bounds.max_lights)]
         self.states = [wp.empty(rays, dtype=wp.uint8, device=device) for _ in range(bounds.max_lights)]
         self.records = wp.empty((bounds.max_triangles, 4), dtype=wp.vec4, device=device)
         self.queue = wp.empty(bounds.queue_capacity, dtype=wp.vec2i, device=device)
@@ -76,6 +100,14 @@ class FrameBuffers:
         self.degenerate = wp.zeros(_ROWS, dtype=int, device=device)
         self.count = 0  # samples of the current frame
         self.width = 0  # of the image they come from; 0 if they are a list of points
+
+    def set_camera(self, pinhole: Pinhole) -> None:
+        """Tell kernels the camera of this frame."""
+        self._pinhole.write([pinhole])
+
+    def set_lights(self, frames: Sequence[LightFrame]) -> None:
+        """Tell kernels the lights of this frame; the ``number`` of each is its place."""
+        self._light_frames.write(frames)
 
     def read_counters(self) -> dict[str, int]:
         """Counter sums by name. Waits for the device."""

@@ -13,7 +13,9 @@ import warp as wp
 
 from shadow_tracer.gpu import light_frame, projection, shadow_test, unproject
 from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
+from shadow_tracer.gpu.graphs import FrameGraphs
 from shadow_tracer.gpu.light_frame import Anchor, make_anchor, make_light_frame
+from shadow_tracer.gpu.pinhole import make_pinhole
 from shadow_tracer.gpu.pipelines import Pipeline, make_pipeline
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangles import Context, TriangleRecords
@@ -39,8 +41,10 @@ class Traced:
 class Engine:
     """Device side of a tracer."""
 
-    def __init__(self, device: Any, bounds: Bounds, pipeline: str, variant: str) -> None:
+    def __init__(self, device: Any, bounds: Bounds, pipeline: str, variant: str, graphs: bool | None) -> None:
         self.device = device
+        self._use_graphs = device.is_cuda if graphs is None else graphs
+        self._graphs = FrameGraphs(device)
         self.bounds = bounds
         self.stages = Stages(device)
         self._frame = FrameBuffers(bounds, device)
@@ -52,6 +56,8 @@ class Engine:
 
     def select(self, pipeline: str, variant: str) -> None:
         """Use another pipeline from the next frame on; the old one's buffers are freed."""
+        self._graphs.clear()
+        self._context.records.forget()
         self._pipeline = make_pipeline(pipeline, variant, self._context)
 
     @property
@@ -81,11 +87,10 @@ class Engine:
             upload(target, depth.reshape(-1))
         frame.count = depth.size
         frame.width = camera.width
-        with self.stages.stage("unproject"):
-            self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
-            unproject.unproject_image(_pinhole(camera, bias), target, frame)
+        self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
+        frame.set_camera(make_pinhole(camera, bias))
         self._pipeline.update(change)
-        return self._trace_lights(lights)
+        return self._trace_lights(lights, target)
 
     def trace_points(self, scene: Scene, points: FloatArray, light: Light, bias: float) -> Traced:
         """States of (N, 3) points, N at most ``bounds.max_rays``."""
@@ -104,18 +109,22 @@ class Engine:
         center = 0.5 * low + 0.5 * high
         self._anchor = make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), self._anchor)
         self._pipeline.update(change)
-        return self._trace_lights([light])
+        return self._trace_lights([light], None)
 
-    def _trace_lights(self, lights: Sequence[Light]) -> Traced:
+    def _trace_lights(self, lights: Sequence[Light], depth: wp.array | None) -> Traced:
         frame = self._frame
-        frame.counters.zero_()
-        frame.queue_counts.zero_()
         assert self._anchor is not None
-        light_frames = [make_light_frame(light, self._anchor) for light in lights]
-        for index, light in enumerate(light_frames):
-            with self.stages.stage("project"):
-                projection.project(light, frame, index, 0)
-            self._attempt(light, index, 0)
+        light_frames = [make_light_frame(light, self._anchor, index) for index, light in enumerate(lights)]
+        frame.set_lights(light_frames)
+        stale = self._context.records.plan(light_frames)
+        if self._use_graphs and self._pipeline.recordable:
+            source = None if depth is None else depth.dtype.__name__
+            triangles, vertices = self._scene.triangle_count, self._scene.vertex_count
+            key = (source, frame.count, frame.width, triangles, vertices, self.front_face_culling, stale)
+            with self.stages.stage("graph"), self.stages.paused():
+                self._graphs.run(key, lambda: self._launch(light_frames, depth))
+        else:
+            self._launch(light_frames, depth)
         passes = self._finish_overflow(light_frames)
         with self.stages.stage("download"):
             states = np.stack([state[: frame.count].numpy() for state in frame.states[: len(lights)]])
@@ -126,6 +135,19 @@ class Engine:
         counters["overflow_passes"] = passes
         self._pipeline.learn(counters)
         return Traced(states, self.stages.read(), counters)
+
+    def _launch(self, light_frames: Sequence[light_frame.LightFrame], depth: wp.array | None) -> None:
+        """Everything of a frame between upload and download, further passes aside."""
+        frame = self._frame
+        frame.counters.zero_()
+        frame.queue_counts.zero_()
+        if depth is not None:
+            with self.stages.stage("unproject"):
+                unproject.unproject_image(depth, frame)
+        for light in light_frames:
+            with self.stages.stage("project"):
+                projection.project(frame, light.number, 0)
+            self._attempt(light, light.number, 0)
 
     def _attempt(self, light: light_frame.LightFrame, index: int, attempt: int) -> None:
         if self._scene.triangle_count == 0:
@@ -138,7 +160,7 @@ class Engine:
                 shadow_test.resolve_queue,
                 dim=threads,
                 inputs=[
-                    light.light,
+                    frame.light_frame_of[index],
                     threads,
                     frame.queue,
                     frame.queue_count_of[index],
@@ -158,8 +180,9 @@ class Engine:
         counts = frame.queue_counts.numpy()[: len(light_frames)].copy()
         for index in np.flatnonzero(counts > self.bounds.queue_capacity):
             light = light_frames[index]
+            self._context.records.plan([light])
             with self.stages.stage("project"):
-                projection.project(light, frame, int(index), 1)
+                projection.project(frame, int(index), 1)
             attempt, overflowed = 1, True
             while overflowed:
                 frame.queue_count_of[index].zero_()
@@ -170,16 +193,6 @@ class Engine:
                 attempt = 2
                 passes += 1
         return passes
-
-
-def _pinhole(camera: Camera, bias: tuple[float, float]) -> unproject.Pinhole:
-    pinhole = unproject.Pinhole()
-    pinhole.width = camera.width
-    pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy = camera.fx, camera.fy, camera.cx, camera.cy
-    rows = [wp.vec4d(*row) for row in camera.camera_to_world[:3]]
-    pinhole.row0, pinhole.row1, pinhole.row2 = rows
-    pinhole.bias_constant, pinhole.bias_quadratic = bias
-    return pinhole
 
 
 def _depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:

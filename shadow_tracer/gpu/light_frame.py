@@ -36,6 +36,7 @@ PENDING = wp.constant(4)
 class LightFrame:
     """A light and the frame around it, as kernels see it."""
 
+    number: int  # of the light within its frame
     light: wp.vec4d  # homogeneous: position and 1, or direction to the light (any length) and 0
     center: wp.vec3d
     r: wp.vec3d
@@ -72,8 +73,8 @@ def make_anchor(center: FloatArray, radius: float, previous: Anchor | None) -> A
     return Anchor((x, y, z), 1.5 * radius)
 
 
-def make_light_frame(light: Light, anchor: Anchor) -> LightFrame:
-    """Frame of ``light`` over the samples at ``anchor``."""
+def make_light_frame(light: Light, anchor: Anchor, number: int = 0) -> LightFrame:
+    """Frame of ``light``, the ``number``-th of its frame, over the samples at ``anchor``."""
     homogeneous = light.homogeneous
     center = np.asarray(anchor.center)
     if homogeneous[3] == 0.0:
@@ -91,6 +92,7 @@ def make_light_frame(light: Light, anchor: Anchor) -> LightFrame:
     r /= np.linalg.norm(r)
     axis, cosine = light.cone
     frame = LightFrame()
+    frame.number = number
     frame.light = wp.vec4d(*homogeneous)
     frame.center = wp.vec3d(*anchor.center)
     frame.r = wp.vec3d(*r)

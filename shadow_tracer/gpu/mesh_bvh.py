@@ -222,6 +222,8 @@ def walk(
 class MeshBvh:
     """The ``mesh_bvh`` pipeline."""
 
+    recordable = False
+
     def __init__(self, variant: str, context: Context) -> None:
         self._variant = variant
         self._context = context

@@ -17,6 +17,12 @@ if TYPE_CHECKING:
 class Pipeline(Protocol):
     """One way to find shadows. A pipeline shows triangles to the shadow test; it never decides by itself."""
 
+    @property
+    def recordable(self) -> bool:
+        """Whether ``trace`` with attempt 0 may be recorded and replayed: it launches kernels and reads nothing back,
+        and nothing it launches depends on more than the numbers of samples and triangles and on what
+        ``TriangleRecords.plan`` has said."""
+
     def update(self, change: Change) -> None:
         """Take note of the scene's new state in the buffers; called once per frame before any light."""
 

@@ -25,7 +25,7 @@ from shadow_tracer.gpu.light_frame import (
 
 @wp.kernel(enable_backward=False)
 def project_samples(
-    frame: LightFrame,
+    light: wp.array(dtype=LightFrame),
     again: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
@@ -36,6 +36,7 @@ def project_samples(
     """Ray of each sample in the light's frame (the biased start point), and its state before tracing. With ``again``,
     only the rays of samples whose tracing is not finished, and no state."""
     i = wp.tid()
+    frame = light[0]
     if again != 0 and states[i] != wp.uint8(PENDING):
         return
     if valid[i] == wp.uint8(0):
@@ -152,7 +153,7 @@ def project_block(
 @wp.kernel(enable_backward=False)
 def project_blocks(
     count: int,
-    frame: LightFrame,
+    light: wp.array(dtype=LightFrame),
     again: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
@@ -160,13 +161,13 @@ def project_blocks(
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
-    project_block(wp.tid() * _BLOCK, count, frame, again, RAYS, samples, valid, rays, states, counters)
+    project_block(wp.tid() * _BLOCK, count, light[0], again, RAYS, samples, valid, rays, states, counters)
 
 
-def project(frame: LightFrame, buffers: FrameBuffers, light: int, again: int) -> None:
+def project(buffers: FrameBuffers, light: int, again: int) -> None:
     """Rays of all samples and, unless ``again``, their states for light number ``light``."""
     inputs = [
-        frame,
+        buffers.light_frame_of[light],
         again,
         buffers.samples,
         buffers.valid,

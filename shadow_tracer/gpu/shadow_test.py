@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import EXACT, RETESTED
+from shadow_tracer.gpu.buffers import EXACT, PEAK_QUEUE, RETESTED
 from shadow_tracer.gpu.exact import DETERMINANT
-from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
+from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED, LightFrame
 
 NO = wp.constant(0)
 YES = wp.constant(1)
@@ -195,7 +195,7 @@ def test_everything(
 
 @wp.kernel(enable_backward=False)
 def resolve_queue(
-    light: wp.vec4d,
+    lights: wp.array(dtype=LightFrame),
     stride: int,
     queue: wp.array(dtype=wp.vec2i),
     queue_count: wp.array(dtype=int),
@@ -207,7 +207,10 @@ def resolve_queue(
 ):
     """Decide every queued pair. Shadowing is idempotent, so pairs of one sample may be decided in any order."""
     thread = wp.tid()
+    light = lights[0].light
     count = wp.min(queue_count[0], queue.shape[0])
+    if thread == 0:
+        wp.atomic_max(counters, 0, PEAK_QUEUE, wp.int64(count))
     decided = int(0)
     exact = int(0)
     for k in range(thread, count, stride):

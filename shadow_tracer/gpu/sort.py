@@ -8,8 +8,8 @@ from typing import Any
 import warp as wp
 
 
-# Warp's own radix sort takes digits of 16 bits on the CPU, whose 65,536 counters and write positions do not fit the first
-# cache; 12 bits do. A digit that all keys share is skipped.
+# Warp's own radix sort takes digits of 16 bits on the CPU, whose 65,536 counters and write positions do not fit the
+# first cache; 12 bits do. A digit that all keys share is skipped.
 @wp.func_native(
     r"""
     int next[4096];
@@ -45,18 +45,14 @@ import warp as wp
     }
     """
 )
-def sort_pairs(
-    count: int, first_bit: int, last_bit: int, keys: wp.array(dtype=int), values: wp.array(dtype=int)
-):
+def sort_pairs(count: int, first_bit: int, last_bit: int, keys: wp.array(dtype=int), values: wp.array(dtype=int)):
     """Stable sort of ``count`` pairs by some bits of non-negative keys, with the arrays' next ``count`` elements as
     scratch."""
     ...
 
 
 @wp.kernel(enable_backward=False)
-def sort_pairs_cpu(
-    count: int, first_bit: int, last_bit: int, keys: wp.array(dtype=int), values: wp.array(dtype=int)
-):
+def sort_pairs_cpu(count: int, first_bit: int, last_bit: int, keys: wp.array(dtype=int), values: wp.array(dtype=int)):
     """One thread."""
     sort_pairs(count, first_bit, last_bit, keys, values)
 

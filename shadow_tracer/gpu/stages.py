@@ -20,6 +20,7 @@ class Stages:
         self._times: dict[str, float] = {}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
         self._pool: list[wp.Event] = []
+        self._paused = False
 
     def reset(self) -> None:
         """Begin a new frame."""
@@ -31,6 +32,9 @@ class Stages:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time what happens inside as stage ``name``."""
+        if self._paused:
+            yield
+            return
         self._times.setdefault(name, 0.0)
         if self._device.is_cpu:
             begin = time.perf_counter()
@@ -47,6 +51,15 @@ class Stages:
             finally:
                 stream.record_event(last)
                 self._events.append((name, first, last))
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Stages inside are not timed: what is recorded cannot be."""
+        self._paused = True
+        try:
+            yield
+        finally:
+            self._paused = False
 
     def read(self) -> dict[str, float]:
         """Stage name to milliseconds. Waits for the device."""

@@ -86,7 +86,7 @@ def never_record(triangle: int, records: wp.array2d(dtype=wp.vec4)):
 
 @wp.kernel(enable_backward=False)
 def prepare_triangles(
-    frame: LightFrame,
+    light: wp.array(dtype=LightFrame),
     factor: wp.float64,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
@@ -98,6 +98,7 @@ def prepare_triangles(
     """Four planes and their error bounds per triangle, float64 rounded once: (n_ab, s_e) (n_bc, s_N) (n_ca, s_D) (N,
     D). With ``cull``, triangles whose front faces the light cast nothing."""
     i = wp.tid()
+    frame = light[0]
     corners = triangles[i]
     a = vertices[corners[0]]
     b = vertices[corners[1]]
@@ -280,7 +281,7 @@ def prepare_block(
 @wp.kernel(enable_backward=False)
 def prepare_blocks(
     count: int,
-    frame: LightFrame,
+    light: wp.array(dtype=LightFrame),
     factor: wp.float64,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
@@ -292,7 +293,7 @@ def prepare_blocks(
     prepare_block(
         wp.tid() * _BLOCK,
         count,
-        frame,
+        light[0],
         factor,
         wp.float64(_U32),
         wp.float64(_SETUP_ERROR),
@@ -306,15 +307,14 @@ def prepare_blocks(
     )
 
 
-def prepare(
-    frame: LightFrame, scene: SceneBuffers, buffers: FrameBuffers, front_face_culling: bool, culled: wp.array
-) -> None:
-    """Make the records of all triangles of the scene for one light; ``buffers.degenerate`` and ``culled``, 64 integers
-    each, sum up to the number of triangles that cast nothing for the one or the other reason."""
+def prepare(light: int, scene: SceneBuffers, buffers: FrameBuffers, front_face_culling: bool, culled: wp.array) -> None:
+    """Make the records of all triangles of the scene for light number ``light``; ``buffers.degenerate`` and
+    ``culled``, 64 integers each, sum up to the number of triangles that cast nothing for the one or the other
+    reason."""
     buffers.degenerate.zero_()
     culled.zero_()
     inputs = [
-        frame,
+        buffers.light_frame_of[light],
         FILTER_FACTOR,
         scene.vertices,
         scene.triangles,

@@ -4,6 +4,7 @@ culling has changed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import warp as wp
@@ -27,20 +28,39 @@ class TriangleRecords:
         self._scene = scene
         self._culled = wp.zeros(frame.degenerate.shape[0], dtype=int, device=frame.device)
         self._made_for: tuple[object, ...] | None = None
+        self._stale: dict[int, bool] = {}
 
     @property
     def culled(self) -> int:
         """Triangles that cast nothing for the last light because of front-face culling. Waits for the device."""
         return int(self._culled.numpy().sum()) if self.front_face_culling else 0
 
-    def prepare(self, frame: LightFrame) -> None:
-        """Make the records for the light of ``frame`` unless they are there."""
-        scene = self._scene
-        key = (tuple(frame.light), tuple(frame.center), frame.inverse_scale, scene.version, self.front_face_culling)
-        if key == self._made_for or scene.triangle_count == 0:
-            return
-        self._made_for = key
-        prepare(frame, scene, self._frame, self.front_face_culling, self._culled)
+    def plan(self, frames: Sequence[LightFrame]) -> tuple[bool, ...]:
+        """Announce that ``prepare`` will be called for ``frames`` in this order; returns for each whether it will have
+        to make the records. So this is known before anything is launched."""
+        for frame in frames:
+            key = (
+                tuple(frame.light),
+                tuple(frame.center),
+                frame.inverse_scale,
+                self._scene.version,
+                self.front_face_culling,
+            )
+            self._stale[frame.number] = key != self._made_for and self._scene.triangle_count > 0
+            self._made_for = key
+        return tuple(self._stale[frame.number] for frame in frames)
+
+    def prepare(self, frame: LightFrame) -> bool:
+        """Make the records for the light of ``frame`` unless they are there; returns whether they were made."""
+        if not self._stale[frame.number]:
+            return False
+        self._stale[frame.number] = False
+        prepare(frame.number, self._scene, self._frame, self.front_face_culling, self._culled)
+        return True
+
+    def forget(self) -> None:
+        """Make them again next time, whatever is there."""
+        self._made_for = None
 
 
 @dataclass(frozen=True)

@@ -18,23 +18,8 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.exact import ARITHMETIC, transform_point
+from shadow_tracer.gpu.pinhole import Pinhole
 from shadow_tracer.scene.checks import LARGEST
-
-
-@wp.struct
-class Pinhole:
-    """Camera and bias as the kernel sees them."""
-
-    width: wp.int32
-    fx: wp.float64
-    fy: wp.float64
-    cx: wp.float64
-    cy: wp.float64
-    row0: wp.vec4d  # camera_to_world, by rows
-    row1: wp.vec4d
-    row2: wp.vec4d
-    bias_constant: wp.float64
-    bias_quadratic: wp.float64
 
 
 # (x, y, z) in the optical frame, and the bias; uncontracted.
@@ -53,7 +38,7 @@ def pixel_sample(camera: Pinhole, column: wp.float64, row: wp.float64, z: wp.flo
 
 @wp.kernel(enable_backward=False)
 def unproject(
-    camera: Pinhole,
+    cameras: wp.array(dtype=Pinhole),
     units_per_metre: wp.float64,
     depth: wp.array(dtype=Any),
     samples: wp.array(dtype=wp.vec4d),
@@ -61,6 +46,7 @@ def unproject(
 ):
     """Samples and validity of all pixels; ``units_per_metre`` is 1 for metres, 1000 for millimetres."""
     i = wp.tid()
+    camera = cameras[0]
     raw = wp.float64(depth[i])
     if not (raw > wp.float64(0.0)) or not wp.isfinite(raw):
         valid[i] = wp.uint8(0)
@@ -155,24 +141,25 @@ def unproject_block(  # noqa: F811, an overload
 @wp.kernel(enable_backward=False)
 def unproject_blocks(
     count: int,
-    camera: Pinhole,
+    cameras: wp.array(dtype=Pinhole),
     units_per_metre: wp.float64,
     depth: wp.array(dtype=Any),
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
 ):
     first = wp.tid() * _BLOCK
-    unproject_block(first, count, camera, units_per_metre, wp.float64(LARGEST), depth, samples, valid)
+    unproject_block(first, count, cameras[0], units_per_metre, wp.float64(LARGEST), depth, samples, valid)
 
 
 wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.float32)})
 wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.uint16)})
 
 
-def unproject_image(pinhole: Pinhole, depth: wp.array, buffers: FrameBuffers) -> None:
-    """Samples and validity of the ``buffers.count`` pixels of ``depth``, float32 metres or uint16 millimetres."""
+def unproject_image(depth: wp.array, buffers: FrameBuffers) -> None:
+    """Samples and validity of the ``buffers.count`` pixels of ``depth``, float32 metres or uint16 millimetres, seen by
+    ``buffers.pinhole``."""
     units = wp.float64(1.0 if depth.dtype == wp.float32 else 1000.0)
-    inputs = [pinhole, units, depth, buffers.samples, buffers.valid]
+    inputs = [buffers.pinhole, units, depth, buffers.samples, buffers.valid]
     if buffers.device.is_cpu:
         blocks = -(-buffers.count // _BLOCK)
         wp.launch(unproject_blocks, dim=blocks, inputs=[buffers.count, *inputs], device=buffers.device)

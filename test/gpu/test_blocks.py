@@ -17,6 +17,7 @@ from shadow_tracer.gpu import projection, triangle_setup, unproject  # noqa: E40
 from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers  # noqa: E402
 from shadow_tracer.gpu.devices import pick_device  # noqa: E402
 from shadow_tracer.gpu.light_frame import PENDING, Anchor, make_light_frame  # noqa: E402
+from shadow_tracer.gpu.pinhole import Pinhole  # noqa: E402
 from shadow_tracer.scene.checks import LARGEST  # noqa: E402
 from shadow_tracer.scene.mesh import Scene  # noqa: E402
 
@@ -52,7 +53,7 @@ def _millimetres(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def _pinhole(rng: np.random.Generator, width: int, focal: float, bias: tuple[float, float]) -> Any:
-    pinhole = unproject.Pinhole()
+    pinhole = Pinhole()
     pinhole.width, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy = width, focal, 1.1 * focal, width / 2.1, 3.3
     rows = np.column_stack([geometry.rotation(rng), rng.uniform(-9, 9, 3)])
     if focal == 1e-13:
@@ -82,13 +83,14 @@ def test_samples(
     array.numpy()[:count] = depth
     frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
     frame.valid.fill_(9)
-    inputs = [pinhole, wp.float64(1.0 if metres else 1000.0), array, frame.samples, frame.valid]
+    frame.set_camera(pinhole)
+    inputs = [frame.pinhole, wp.float64(1.0 if metres else 1000.0), array, frame.samples, frame.valid]
     wp.launch(unproject.unproject, dim=count, inputs=inputs, device="cpu")
     samples, valid = frame.samples.numpy().copy(), frame.valid.numpy().copy()
     frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
     frame.valid.fill_(9)
     frame.count = count
-    unproject.unproject_image(pinhole, array, frame)
+    unproject.unproject_image(array, frame)
     np.testing.assert_array_equal(frame.valid.numpy(), valid)
     seen = valid == 1
     assert not seen[:count].all() or count < 100
@@ -132,10 +134,11 @@ def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int
     samples[:count][valid[:count] == 0] = np.nan
     frame.count = count
     frame_of_light = make_light_frame(_LIGHTS[light], Anchor((0.1, 0.0, -0.1), 2.5))
-    inputs = [frame_of_light, again, frame.samples, frame.valid, frame.rays, frame.states[0], frame.counters]
+    frame.set_lights([frame_of_light])
+    inputs = [frame.light_frame_of[0], again, frame.samples, frame.valid, frame.rays, frame.states[0], frame.counters]
     states = np.full(count, 9, np.uint8)
     if again:
-        projection.project(frame_of_light, frame, 0, 0)
+        projection.project(frame, 0, 0)
         states = frame.states[0].numpy()[:count].copy()
         # Pending ones are few and not in every block, as after a queue that was nearly large enough.
         few = (rng.random(count) < 0.02) & (np.arange(count) // 256 % 3 != 1)
@@ -147,7 +150,7 @@ def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int
         frame.states[0].numpy()[:count] = states
         frame.counters.zero_()
         if blocks:
-            projection.project(frame_of_light, frame, 0, again)
+            projection.project(frame, 0, again)
         else:
             wp.launch(projection.project_samples, dim=count, inputs=inputs, device="cpu")
         return frame.rays.numpy().copy(), frame.states[0].numpy().copy(), frame.read_counters()["rays"]
@@ -213,15 +216,15 @@ _MESHES = (_random, _tiny, _slivers, _exact_ties, _nearly_flat, _spread, _not_fi
 
 
 def _prepared(frame: FrameBuffers, scene: SceneBuffers, light: Any, cull: int, blocks: bool) -> tuple[Any, int, int]:
-    frame_of_light = make_light_frame(light, Anchor((0.1, 0.0, -0.1), 2.5))
+    frame.set_lights([make_light_frame(light, Anchor((0.1, 0.0, -0.1), 2.5))])
     frame.records.fill_(wp.vec4(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
     culled = wp.zeros(64, dtype=int, device="cpu")
     if blocks:
-        triangle_setup.prepare(frame_of_light, scene, frame, bool(cull), culled)
+        triangle_setup.prepare(0, scene, frame, bool(cull), culled)
     else:
         frame.degenerate.zero_()
         inputs = [
-            frame_of_light,
+            frame.light_frame_of[0],
             triangle_setup.FILTER_FACTOR,
             scene.vertices,
             scene.triangles,

@@ -21,7 +21,7 @@ import warp as wp
 
 from shadow_tracer.gpu.cone_hierarchy.keys import CURVE_BITS, FACES, RayOrder
 from shadow_tracer.gpu.cone_hierarchy.rays import Participants
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, ray_depth
+from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, ray_depth, space_of
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.shadow_test import ray_magnitude
 from shadow_tracer.gpu.triangles import Context
@@ -70,9 +70,10 @@ def store_box(tree: RayTree, node: int, low: wp.vec3, high: wp.vec3, nearest: fl
 
 
 @wp.kernel(enable_backward=False)
-def make_leaves(space: LightSpace, rays: wp.array(dtype=wp.vec4), tree: RayTree):
+def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4), tree: RayTree):
     """Copy the rays of a leaf together and bound them. One thread per leaf that could be used."""
     leaf = wp.tid()
+    space = space_of(light[0])
     size = 1 << tree.log_leaf
     first = leaf << tree.log_leaf
     low = wp.vec3(2.0, 2.0, 2.0)
@@ -168,8 +169,8 @@ def make_leaf(leaf: int, space: LightSpace, rays: wp.array(dtype=wp.vec4), tree:
 
 
 @wp.kernel(enable_backward=False)
-def make_leaves_wide(space: LightSpace, rays: wp.array(dtype=wp.vec4), tree: RayTree):
-    make_leaf(wp.tid(), space, rays, tree)
+def make_leaves_wide(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4), tree: RayTree):
+    make_leaf(wp.tid(), space_of(light[0]), rays, tree)
 
 
 @wp.kernel(enable_backward=False)
@@ -279,7 +280,7 @@ class RayTreeBuffers:
         self.tree.visits = wp.zeros(self._offsets[-1], dtype=int, device=self._context.frame.device)
         return self.tree.visits
 
-    def build(self, frame: LightFrame, space: LightSpace) -> None:
+    def build(self, light: int) -> None:
         """Leaves, boxes and lookup table over the rays in ``order``; the launches depend on the number of samples
         alone."""
         buffers, tree = self._context.frame, self.tree
@@ -292,7 +293,7 @@ class RayTreeBuffers:
             groups = -(-nodes // branch)
             if level == 0:
                 kernel = make_leaves_wide if self.wide else make_leaves
-                inputs = [space, buffers.rays, tree]
+                inputs = [buffers.light_frame_of[light], buffers.rays, tree]
             else:
                 kernel, inputs = make_parents, [level, nodes, tree]
             wp.launch(kernel, dim=groups * branch, inputs=inputs, device=device)

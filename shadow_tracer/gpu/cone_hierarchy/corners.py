@@ -13,10 +13,13 @@ _BLOCK = 256
 
 
 @wp.kernel(enable_backward=False)
-def project_vertices(frame: LightFrame, vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)):
+def project_vertices(
+    light: wp.array(dtype=LightFrame), vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
+):
     """(U, V, W, Z) of every vertex: each within 2^-24 relative and 2^-46 (1 + its distance from the anchor) of
     exact."""
     i = wp.tid()
+    frame = light[0]
     c = frame_coordinates(frame, vertices[i] - frame.center)
     out[i] = wp.vec4(float(c[0]), float(c[1]), float(c[2]), float(c[3]))
 
@@ -52,34 +55,29 @@ def project_block(
 
 @wp.kernel(enable_backward=False)
 def project_vertex_blocks(
-    frame: LightFrame, count: int, vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
+    light: wp.array(dtype=LightFrame), count: int, vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
 ):
     first = wp.tid() * _BLOCK
-    project_block(frame, first, wp.min(first + _BLOCK, count), vertices, out)
+    project_block(light[0], first, wp.min(first + _BLOCK, count), vertices, out)
 
 
 class Corners:
-    """``vertices``: (U, V, W, Z) of the scene's vertices for one light; made again only when something has changed."""
+    """``vertices``: (U, V, W, Z) of the scene's vertices for one light."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
         capacity = 3 * context.frame.bounds.max_triangles
         self.vertices = wp.empty(capacity, dtype=wp.vec4, device=context.frame.device)
-        self._made_for: tuple[object, ...] | None = None
 
-    def prepare(self, frame: LightFrame) -> None:
-        """Make them for the light of ``frame`` unless they are there."""
-        scene, device = self._context.scene, self._context.frame.device
-        key = (tuple(frame.light), tuple(frame.center), frame.inverse_scale, scene.version)
-        if key == self._made_for:
-            return
-        self._made_for = key
-        count = scene.vertex_count
+    def make(self, frame: LightFrame) -> None:
+        """Make them for the light of ``frame``; to be done whenever its triangle records are made."""
+        buffers, scene = self._context.frame, self._context.scene
+        device, count, light = buffers.device, scene.vertex_count, buffers.light_frame_of[frame.number]
         if device.is_cpu:
-            inputs = [frame, count, scene.vertices, self.vertices]
+            inputs = [light, count, scene.vertices, self.vertices]
             wp.launch(project_vertex_blocks, dim=-(-count // _BLOCK), inputs=inputs, device=device)
         else:
-            wp.launch(project_vertices, dim=count, inputs=[frame, scene.vertices, self.vertices], device=device)
+            wp.launch(project_vertices, dim=count, inputs=[light, scene.vertices, self.vertices], device=device)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

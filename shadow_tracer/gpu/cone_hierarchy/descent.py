@@ -23,9 +23,9 @@ import warp as wp
 from shadow_tracer.gpu.buffers import PASSES
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
 from shadow_tracer.gpu.cone_hierarchy.rays import Answers
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
+from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, space_of
 from shadow_tracer.gpu.cone_hierarchy.triangle_planes import TRIANGLE, Occluders
-from shadow_tracer.gpu.light_frame import SHADOWED
+from shadow_tracer.gpu.light_frame import SHADOWED, LightFrame
 from shadow_tracer.gpu.shadow_test import FILTER
 
 # Leaves per run that one thread walks, and leaves per chunk of a larger triangle: 4^3.
@@ -254,7 +254,7 @@ def descend_chunk(
 
 @wp.kernel(enable_backward=False)
 def descend_triangles(
-    space: LightSpace,
+    light: wp.array(dtype=LightFrame),
     tree: RayTree,
     occluders: Occluders,
     answers: Answers,
@@ -265,14 +265,14 @@ def descend_triangles(
     t = wp.tid()
     if t == 0:
         wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
-    if descend_small(t, SMALL_RUN, space, tree, occluders, answers):
+    if descend_small(t, SMALL_RUN, space_of(light[0]), tree, occluders, answers):
         big[wp.atomic_add(big_count, 0, 1)] = t
 
 
 @wp.kernel(enable_backward=False)
 def descend_big(
     stride: int,
-    space: LightSpace,
+    light: wp.array(dtype=LightFrame),
     tree: RayTree,
     occluders: Occluders,
     answers: Answers,
@@ -281,6 +281,7 @@ def descend_big(
 ):
     """Large triangles, one (chunk, triangle) after the other; neighbouring threads share a chunk."""
     thread = wp.tid()
+    space = space_of(light[0])
     rays_per_chunk = 1 << (tree.log_leaf + CHUNK_LEVEL * tree.log_branch)
     chunks = (tree.counts[0] + rays_per_chunk - 1) // rays_per_chunk
     count = wp.int64(big_count[0])

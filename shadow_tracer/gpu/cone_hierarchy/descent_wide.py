@@ -9,8 +9,9 @@ import warp as wp
 from shadow_tracer.gpu.buffers import PASSES
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
 from shadow_tracer.gpu.cone_hierarchy.rays import Answers
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
+from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, space_of
 from shadow_tracer.gpu.cone_hierarchy.triangle_planes import TRIANGLE, Occluders
+from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.shadow_test import FILTER_BLOCK
 
 # Sixteen lanes. `boxes16` answers for the 16 boxes of a group with two bit masks.
@@ -203,7 +204,7 @@ def descend_all(
 
 
 @wp.kernel(enable_backward=False)
-def descend_wide(space: LightSpace, tree: RayTree, occluders: Occluders, answers: Answers):
+def descend_wide(light: wp.array(dtype=LightFrame), tree: RayTree, occluders: Occluders, answers: Answers):
     """One thread."""
     wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
-    descend_all(space, tree, occluders, answers)
+    descend_all(space_of(light[0]), tree, occluders, answers)

@@ -21,7 +21,8 @@ FACES = 6
 CURVE_BITS = 14
 KEY_BITS = 3 + 2 * CURVE_BITS
 CELLS = 2.0**CURVE_BITS
-# Along the Morton curve neighbouring pixels in one of 2^21 cells may stay in image order, which saves a pass of the sort.
+# Along the Morton curve neighbouring pixels in one of 2^21 cells may stay in image order, which saves a pass of the
+# sort.
 _SORTED_BITS = (7, KEY_BITS)
 LAST_KEY = wp.constant(2**31 - 1)
 
@@ -300,12 +301,15 @@ def pack_keys(
 
 class RayOrder:
     """Tree rays in the order of a curve: ``order[:n]`` are their sample indices, n = ``participants.counts[0]`` (on the
-    device), the rest follows in no order. ``fit`` describes the cells of each face (``fit_cells``)."""
+    device), the rest follows in no order. ``fit`` describes the cells of each face (``fit_cells``). ``packed`` (CPU
+    and Morton curve only) sorts present rays alone; their number is read by the host.
+    """
 
-    def __init__(self, context: Context, participants: Participants, hilbert: bool) -> None:
+    def __init__(self, context: Context, participants: Participants, hilbert: bool, packed: bool = False) -> None:
         self._context = context
         self._participants = participants
         self._hilbert = int(hilbert)
+        self._packed = packed
         device = context.frame.device
         self._sort = KeySort(context.frame.bounds.max_rays, device)
         self._extent = wp.empty(4 * FACES, dtype=float, device=device)
@@ -317,7 +321,7 @@ class RayOrder:
         """Order the tree rays of light number ``light`` that are not known to be in shadow."""
         frame, who = self._context.frame, self._participants
         device, count, states = frame.device, frame.count, frame.states[light]
-        if device.is_cpu and not self._hilbert:
+        if self._packed:
             # One thread: it can pack the keys of present rays as it goes, so that only they are sorted.
             wp.launch(measure_extent_wide, dim=1, inputs=[count, frame.rays, who.group, self._extent], device=device)
             wp.launch(fit_cells, dim=FACES, inputs=[self._extent, self.fit], device=device)

@@ -11,7 +11,6 @@ from shadow_tracer.gpu.cone_hierarchy.boxes import RayTreeBuffers
 from shadow_tracer.gpu.cone_hierarchy.corners import Corners
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
 from shadow_tracer.gpu.cone_hierarchy.rays import Participants
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, make_light_space
 from shadow_tracer.gpu.cone_hierarchy.triangle_planes import Occluders
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.triangles import Context
@@ -26,9 +25,10 @@ class LinearHierarchy:
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
         self._participants = Participants(context)
-        self._order = RayOrder(context, self._participants, hilbert=False)
         self._corners = Corners(context)
         self._wide = context.frame.device.is_cpu and variant == "linear"
+        self._order = RayOrder(context, self._participants, hilbert=False, packed=self._wide)
+        self.recordable = not self._wide
         self._buffers = RayTreeBuffers(context, self._order, self._participants, self._wide)
         capacity = 1 if self._wide else context.frame.bounds.max_triangles
         self._big = wp.empty(capacity, dtype=int, device=context.frame.device)
@@ -39,20 +39,20 @@ class LinearHierarchy:
 
     def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
         """Build the tree of the light's rays and send all triangles through it."""
-        stages, space = self._context.stages, make_light_space(frame)
+        stages = self._context.stages
         with stages.stage("setup"):
-            self._context.records.prepare(frame)
-            self._corners.prepare(frame)
+            if self._context.records.prepare(frame):
+                self._corners.make(frame)
         with stages.stage("sort"):
             self._participants.choose(light, attempt)
             self._order.sort(light)
         with stages.stage("build"):
-            self._buffers.build(frame, space)
+            self._buffers.build(light)
         with stages.stage("trace"):
-            self._descend(space, light)
+            self._descend(light)
             self._participants.finish(light, attempt)
 
-    def _descend(self, space: LightSpace, light: int) -> None:
+    def _descend(self, light: int) -> None:
         buffers, scene, tree = self._context.frame, self._context.scene, self._buffers.tree
         device = buffers.device
         occluders = Occluders()
@@ -60,7 +60,7 @@ class LinearHierarchy:
         occluders.triangles = scene.triangles
         occluders.corners = self._corners.vertices
         occluders.records = buffers.records
-        inputs = [space, tree, occluders, self._participants.answers(light)]
+        inputs = [buffers.light_frame_of[light], tree, occluders, self._participants.answers(light)]
         if self._wide:
             wp.launch(descent_wide.descend_wide, dim=1, inputs=inputs, device=device)
             return

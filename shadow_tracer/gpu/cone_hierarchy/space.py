@@ -48,6 +48,16 @@ def make_light_space(frame: LightFrame) -> LightSpace:
 
 
 @wp.func
+def space_of(frame: LightFrame) -> LightSpace:
+    """Light space of a frame, on the device."""
+    space = LightSpace()
+    space.c = float(frame.w_constant)
+    space.s = float(frame.w_slope)
+    space.inverse = wp.where(space.c < 1.0, 1, 0)
+    return space
+
+
+@wp.func
 def ray_depth(space: LightSpace, ray: wp.vec4, inverse_norm: float) -> float:
     """t of a ray whose 1/|h| is ``inverse_norm``."""
     if space.inverse != 0:

@@ -18,8 +18,9 @@ from shadow_tracer.gpu.cone_hierarchy import descent
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
 from shadow_tracer.gpu.cone_hierarchy.keys import face_of
 from shadow_tracer.gpu.cone_hierarchy.rays import Answers
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
+from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, make_light_space
 from shadow_tracer.gpu.cone_hierarchy.triangle_planes import Occluders
+from shadow_tracer.gpu.light_frame import make_light_frame
 
 _ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
 
@@ -88,9 +89,9 @@ def _outcome(device: str, name: str, seed: int) -> Outcome:
     pipeline = engine._pipeline
     taken: list[Any] = []
     # The tree as it is before any triangle went through it: descents close nodes that are done.
-    pipeline._descend = lambda space, index: taken.append((space, index))
+    pipeline._descend = taken.append
     tracer.occluded(points, light, 0.02)
-    space, index = taken[0]
+    index, space = taken[0], make_light_space(make_light_frame(light, engine._anchor))
     tree, frame, scene = pipeline._buffers.tree, engine._frame, engine._scene
     occluders = Occluders()
     occluders.count, occluders.triangles, occluders.records = scene.triangle_count, scene.triangles, frame.records

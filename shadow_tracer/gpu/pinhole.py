@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera and a bias as kernels see them."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.scene.camera import Camera
+
+
+@wp.struct
+class Pinhole:
+    """Camera and bias as kernels see them."""
+
+    width: wp.int32
+    fx: wp.float64
+    fy: wp.float64
+    cx: wp.float64
+    cy: wp.float64
+    row0: wp.vec4d  # camera_to_world, by rows
+    row1: wp.vec4d
+    row2: wp.vec4d
+    bias_constant: wp.float64
+    bias_quadratic: wp.float64
+
+
+def make_pinhole(camera: Camera, bias: tuple[float, float]) -> Pinhole:
+    """From a camera and the constant [m] and quadratic [1/m] part of the bias."""
+    pinhole = Pinhole()
+    pinhole.width = camera.width
+    pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy = camera.fx, camera.fy, camera.cx, camera.cy
+    rows = [wp.vec4d(*row) for row in camera.camera_to_world[:3]]
+    pinhole.row0, pinhole.row1, pinhole.row2 = rows
+    pinhole.bias_constant, pinhole.bias_quadratic = bias
+    return pinhole

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames recorded once and replayed: the same bits as launched one by one, whatever changes between frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import geometry
+import numpy as np
+import pytest
+
+from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
+
+_BOUNDS = Bounds(max_triangles=4000, max_rays=2500, max_lights=4, queue_capacity=4000)
+
+
+def _tracer(device: str, graphs: bool | None) -> ShadowTracer:
+    variant = "linear_scalar" if device == "cpu" else "linear"
+    return ShadowTracer("cone_hierarchy", variant, device=device, bounds=_BOUNDS, graphs=graphs)
+
+
+def _camera(step: int, size: int = 40) -> Camera:
+    pose = np.eye(4)
+    pose[:3, 3] = 0.02 * step, -0.01 * step, 0.0
+    return Camera(size, size, 0.8 * size, 0.8 * size, 0.5 * size - 0.5, 0.5 * size - 0.5, pose)
+
+
+def _depth(rng: np.random.Generator, camera: Camera) -> np.ndarray:
+    depth = rng.uniform(4.0, 6.0, (camera.height, camera.width)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.1] = np.nan
+    return depth
+
+
+def _frames(tracer: ShadowTracer) -> list[np.ndarray]:
+    """States of twelve frames in which camera, depth, lights and mesh move, stay, appear and go."""
+    rng = np.random.default_rng(7)
+    vertices, triangles = geometry.icosphere(3, 1.0, (0.0, 0.0, 3.0))
+    tracer.scene.put("ball", vertices, triangles)
+    states = []
+    for step in range(12):
+        camera = _camera(step)
+        lights: list[Any] = [
+            PointLight("lamp", (0.3 * step - 1.0, -2.0, 0.5)),
+            DirectionalLight("sun", (0.1, 0.2, 1.0)),
+        ]
+        if step in (3, 4, 5):
+            lights = lights[:1]  # another number of lights
+        if step != 8:  # once with nothing changed but the depth image
+            tracer.scene.deform("ball", vertices * (1.0 + 0.02 * step))
+        if step == 6:
+            tracer.scene.put("roof", *geometry.square(1, -1.5, 0.7, (0.0, 3.0)))
+        frame = tracer.trace(_depth(rng, camera), camera, lights, bias=0.01)
+        states += [frame.state(light.name) for light in lights]
+    return states
+
+
+def test_replayed_frames_are_equal(any_device: str) -> None:
+    plain, recording = _tracer(any_device, False), _tracer(any_device, True)
+    expected = _frames(plain)
+    got = _frames(recording)
+    assert all(np.array_equal(a, b) for a, b in zip(expected, got, strict=True))
+    assert any((state == 1).any() for state in expected) and any((state == 0).any() for state in expected)
+    engine: Any = recording._engine
+    assert engine._graphs.recorded() >= 2
+
+
+def test_a_replayed_frame_is_one_stage(any_device: str) -> None:
+    tracer = _tracer(any_device, True)
+    rng, camera = np.random.default_rng(1), _camera(0)
+    tracer.scene.put("ball", *geometry.icosphere(2, 1.0, (0.0, 0.0, 3.0)))
+    lamp = PointLight("lamp", (0.0, -2.0, 0.5))
+    for _ in range(4):
+        frame = tracer.trace(_depth(rng, camera), camera, [lamp])
+    assert list(frame.stages) == ["upload", "graph", "download"]
+    assert frame.counters["rays"] > 1000 and frame.counters["nodes_visited"] > 0
+
+
+def test_recordings_do_not_outlive_the_pipeline(any_device: str) -> None:
+    tracer = _tracer(any_device, True)
+    rng, camera = np.random.default_rng(2), _camera(0)
+    tracer.scene.put("ball", *geometry.icosphere(2, 1.0, (0.0, 0.0, 3.0)))
+    lamp = PointLight("lamp", (0.0, -2.0, 0.5))
+    depth = _depth(rng, camera)
+    first = [tracer.trace(depth, camera, [lamp]).state("lamp") for _ in range(4)][-1]
+    variant = tracer.variant
+    tracer.select("brute_force")
+    assert np.array_equal(tracer.trace(depth, camera, [lamp]).state("lamp"), first)
+    tracer.select("cone_hierarchy", variant)
+    again = [tracer.trace(depth, camera, [lamp]).state("lamp") for _ in range(4)]
+    assert all(np.array_equal(state, first) for state in again)
+
+
+@pytest.mark.parametrize("capacity", [1, 3])
+def test_overflow_after_a_replay(any_device: str, capacity: int) -> None:
+    """Rays on the surfaces of a ball without a bias: many pairs for a queue of one."""
+    bounds = Bounds(max_triangles=100, max_rays=64, max_lights=1, queue_capacity=capacity)
+    variant = "linear_scalar" if any_device == "cpu" else "linear"
+    tracer = ShadowTracer("cone_hierarchy", variant, device=any_device, bounds=bounds, graphs=True)
+    oracle = ShadowTracer("brute_force", device=any_device, bounds=bounds)
+    vertices, triangles = geometry.icosphere(1, 1.0, (0.0, 0.0, 3.0))
+    lamp = PointLight("lamp", (0.3, -2.0, 0.5))
+    for step in range(4):
+        points = vertices[triangles].mean(axis=1)[:64] * (1.0 + 0.01 * step)
+        for each in (tracer, oracle):
+            each.scene.put("ball", vertices * (1.0 + 0.01 * step), triangles)
+        assert np.array_equal(tracer.occluded(points, lamp), oracle.occluded(points, lamp))
