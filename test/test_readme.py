@@ -154,7 +154,7 @@ def test_files_and_make_targets_named_in_pages_exist(page: Path) -> None:
 
 def test_pictures_are_small() -> None:
     sizes = [path.stat().st_size for path in (ROOT / "docs" / "images").iterdir()]
-    assert sizes and sum(sizes) < 400_000
+    assert sizes and max(sizes) < 256_000
 
 
 @pytest.mark.parametrize("page", FOR_USERS, ids=lambda page: page.name)
