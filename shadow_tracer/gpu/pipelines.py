@@ -55,7 +55,17 @@ REGISTRY: dict[str, PipelineEntry] = {
         "bounding volume hierarchy over the triangles, refitted while only positions change",
     ),
     "cone_hierarchy": PipelineEntry(
-        ("linear", "linear_scalar"),
+        (
+            "linear",
+            "linear_scalar",
+            "precise",
+            "precise_sorted",
+            "spheres",
+            "spheres_sorted",
+            "precise_sea",
+            "precise_eatp",
+            "precise_seatp",
+        ),
         "shadow_tracer.gpu.cone_hierarchy.pipeline",
         "make",
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",

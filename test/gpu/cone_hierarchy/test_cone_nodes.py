@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node tests of the paper's variants, alone: a node that a triangle is rejected for holds no ray that the exact
+decision says yes to, a covered node no ray that it says no to; and both happen where they should."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import geometry
+import numpy as np
+import pytest
+import warp as wp
+
+from shadow_tracer import Bounds, DirectionalLight, PointLight, Scene
+from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
+from shadow_tracer.gpu.cone_hierarchy import cone_test, cones
+from shadow_tracer.gpu.cone_hierarchy.breadth_first import Triangles, see
+from shadow_tracer.gpu.cone_hierarchy.corners import Corners
+from shadow_tracer.gpu.cone_hierarchy.rays import Participants
+from shadow_tracer.gpu.cone_hierarchy.space import make_light_space
+from shadow_tracer.gpu.light_frame import make_anchor, make_light_frame
+from shadow_tracer.gpu.projection import project
+from shadow_tracer.gpu.shadow_test import decide
+from shadow_tracer.gpu.stages import Stages
+from shadow_tracer.gpu.triangles import Context, TriangleRecords
+from shadow_tracer.scene.lights import Light
+
+SPREADS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2, 0.1, 0.5, 1.0, 1.4, 1.5697, 1.8, 2.5, np.pi)
+RAYS = 64  # per spread: levels 1 to 3 stay within a bundle
+TRIANGLES = 36  # per spread
+LIGHTS: dict[str, Light] = {
+    "inside": PointLight("lamp", (0.13, -0.21, 0.34)),
+    "outside": PointLight("lamp", (9.0, 7.0, -8.0)),
+    "far": PointLight("lamp", (3e5, -1e5, 5e5)),
+    "sun": DirectionalLight("sun", (0.31, -0.42, -0.87)),
+}
+
+
+@wp.kernel(enable_backward=False)
+def judge_nodes(first: int, triangles: Triangles, tree: cones.Tree, answers: wp.array2d(dtype=int)):
+    node, triangle = wp.tid()
+    occluder = see(triangles, triangle)
+    index = first + node
+    if triangles.spheres != 0:
+        answers[node, triangle] = cone_test.test_sphere(occluder, tree.cones[index], tree.ranges[index])
+    else:
+        answers[node, triangle] = cone_test.test_precise(occluder, tree.cones[index], tree.ranges[index])
+
+
+@wp.kernel(enable_backward=False)
+def decide_all(
+    light: wp.vec4d,
+    samples: wp.array(dtype=wp.vec4d),
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.vec3i),
+    hidden: wp.array2d(dtype=wp.uint8),
+):
+    i, t = wp.tid()
+    corners = triangles[t]
+    a = vertices[corners[0]]
+    b = vertices[corners[1]]
+    c = vertices[corners[2]]
+    hidden[i, t] = wp.uint8(decide(samples[i], light, a, b, c) & 1)
+
+
+def bundles(rng: np.random.Generator, light: Light) -> tuple[np.ndarray, np.ndarray]:
+    """(rays, triangles): a bundle of samples for each spread, as angle or (far lights) sideways, and triangles in
+    front of, around and behind it. (B, RAYS, 3) and (B, TRIANGLES, 3, 3)."""
+    lamp = light.homogeneous
+    samples, corners = [], []
+    for spread in SPREADS:
+        middle = geometry.directions(rng, 1)[0]
+        aside = geometry.directions(rng, RAYS) * spread * rng.uniform(0.0, 1.0, (RAYS, 1))
+        turned = middle + aside if spread < 1.5 else geometry.directions(rng, RAYS)
+        if 1.5 < spread < 3.0:  # every direction within the angle of the middle
+            along = np.cos(spread * rng.uniform(0.0, 1.0, (RAYS, 1)))
+            across = np.cross(middle, geometry.directions(rng, RAYS))
+            across /= np.linalg.norm(across, axis=1, keepdims=True)
+            turned = along * middle + np.sqrt(1.0 - along**2) * across
+        # Corners around the middle, a few bundle widths wide, at any distance and partly on the light's other side;
+        # half of the triangles lie around the middle, so that they may cover the bundle.
+        width = rng.choice([0.5, 2.0, 8.0], (TRIANGLES, 1, 1)) * (spread + 1e-7) + rng.choice(
+            [0.0, 0.0, 0.0, 0.3, 2.0], (TRIANGLES, 1, 1)
+        )
+        spin = rng.uniform(0.0, 6.28, (TRIANGLES, 1)) + np.array([0.0, 2.1, 4.2])
+        u = np.cross(middle, [0.3, -0.5, 0.8])
+        v = np.cross(middle, u / np.linalg.norm(u))
+        around = np.cos(spin)[..., None] * np.cross(v, middle) + np.sin(spin)[..., None] * v
+        loose = np.arange(TRIANGLES) % 2 == 1
+        around[loose] = geometry.directions(rng, 3 * loose.sum()).reshape(-1, 3, 3)
+        ways = middle + width * around
+        ways[::9, 1] = ways[::9, 0] + 1e-4 * (ways[::9, 1] - ways[::9, 0])  # slivers
+        ways[4::9, 0] = turned[rng.integers(0, RAYS, len(ways[4::9]))]  # a corner exactly on a ray
+        length = rng.uniform(0.05, 1.6, (TRIANGLES, 1, 1)) * rng.uniform(0.7, 1.3, (TRIANGLES, 3, 1))
+        length[::7, 2] *= -1.0
+        length[3::11] *= -1.0
+        length[5::12] *= 40.0
+        away = rng.uniform(0.9, 1.0, (RAYS, 1)) * rng.uniform(1.0, 3.0)
+        if np.linalg.norm(lamp[:3]) < 1.0 and lamp[3]:
+            samples.append(lamp[:3] + turned * away)
+            corners.append(lamp[:3] + ways * length)
+        else:
+            # The same seen along the light's direction: sideways offsets, and heights over the samples.
+            base = rng.uniform(-2.0, 2.0, 3)
+            up = lamp[:3] - lamp[3] * base
+            up /= np.linalg.norm(up)
+            samples.append(base + (turned - middle) - 0.3 * up * (away - 1.0))
+            corners.append(base + (ways - middle) + up * (length - 0.2))
+    return np.array(samples), np.array(corners)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Per level: (nodes, T) answers of a node test; exact (nodes, T) any, all of the node's rays; angles (nodes,)."""
+
+    answers: list[np.ndarray]
+    some: list[np.ndarray]
+    every: list[np.ndarray]
+    angles: list[np.ndarray]
+
+
+@cache
+def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
+    light = LIGHTS[name]
+    rays, corners = bundles(np.random.default_rng(seed), light)
+    points, triangles = rays.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)
+    bounds = Bounds(len(triangles), len(points), 1, 64, 1)
+    frame, scene = FrameBuffers(bounds, wp.get_device(device)), SceneBuffers(bounds, wp.get_device(device))
+    context = Context(frame, scene, TriangleRecords(frame, scene), Stages(frame.device))
+    world = Scene(bounds)
+    world.put("mesh", corners.reshape(-1, 3), triangles)
+    scene.sync(world)
+    bias = np.where(np.arange(len(points)) % 3 == 0, 0.02, 0.0)
+    upload(frame.samples, np.concatenate([points, bias[:, None]], axis=1))
+    upload(frame.valid, np.ones(len(points), np.uint8))
+    frame.count = len(points)
+    # A small anchor leaves most samples far to the side of it.
+    around = make_light_frame(light, make_anchor(np.zeros(3), (4.0, 0.3)[seed % 2], None))
+    frame.set_lights([around])
+    project(frame, 0, 0)
+    context.records.plan([around])
+    context.records.prepare(around)
+    seen, rays_in_tree, tree = Corners(context), Participants(context), cones.ConeTree(context)
+    seen.make(around)
+    rays_in_tree.choose(0, 0)
+    assert (rays_in_tree.group.numpy() == 1).all()
+    leaves = cones.Leaves()
+    leaves.rays, leaves.group = frame.rays, rays_in_tree.group
+    leaves.order = leaves.counts = rays_in_tree.counts
+    tree.shape(True)
+    what = Triangles()
+    what.space, what.spheres = make_light_space(around), int(spheres)
+    what.corners, what.indices, what.records = seen.vertices, scene.triangles, frame.records
+    tree.build(what.space, leaves, frame.states[0])
+    hidden = wp.empty((len(points), len(triangles)), dtype=wp.uint8, device=device)
+    inputs = [around.light, frame.samples, scene.vertices, scene.triangles, hidden]
+    wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=device)
+    exact = hidden.numpy().astype(bool)
+    outcome = Outcome([], [], [], [])
+    for level in range(1, tree.tree.top + 1):
+        count, _, _, first = tree.tree.levels.numpy()[level]
+        answers = wp.empty((int(count), len(triangles)), dtype=int, device=device)
+        wp.launch(judge_nodes, dim=answers.shape, inputs=[int(first), what, tree.tree, answers], device=device)
+        starts = np.arange(0, len(points), 4**level)
+        outcome.answers.append(answers.numpy())
+        outcome.some.append(np.logical_or.reduceat(exact, starts))
+        outcome.every.append(np.logical_and.reduceat(exact, starts))
+        outcome.angles.append(tree.tree.cones.numpy()[first : first + count, 3])
+    return outcome
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("spheres", [False, True], ids=["precise", "spheres"])
+@pytest.mark.parametrize("name", LIGHTS)
+def test_no_node_is_wrongly_rejected_or_accepted(any_device: str, name: str, spheres: bool, seed: int) -> None:
+    outcome = _outcome(any_device, name, spheres, seed)
+    for level, (answers, some, every) in enumerate(
+        zip(outcome.answers, outcome.some, outcome.every, strict=True), start=1
+    ):
+        rejected, covered = answers == int(cone_test.REJECTED), answers == int(cone_test.COVERED)
+        assert not (rejected & some).any(), (
+            f"level {level}: rejected with a shadow at {np.argwhere(rejected & some)[0]}"
+        )
+        assert not (covered & ~every).any(), f"level {level}: covered with light at {np.argwhere(covered & ~every)[0]}"
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_node_tests_decide(any_device: str, name: str) -> None:
+    """Of the pairs without a shadow most are rejected, of those with nothing but shadow many accepted, and the precise
+    test rejects more than spheres."""
+    counts = np.zeros(5, int)
+    for seed in range(3):
+        precise, sphere = _outcome(any_device, name, False, seed), _outcome(any_device, name, True, seed)
+        for level in range(3):
+            answers, some, every = precise.answers[level], precise.some[level], precise.every[level]
+            spheres = sphere.answers[level]
+            of = (answers == int(cone_test.REJECTED), ~some, answers == int(cone_test.COVERED), every)
+            counts += [*(int(x.sum()) for x in of), int((spheres == int(cone_test.REJECTED)).sum())]
+    rejected, empty, covered, full, by_sphere = counts
+    assert rejected > 0.8 * empty and covered > 0.8 * full > 20_000
+    assert 0.45 * empty < by_sphere < 0.9 * rejected
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_half_angles_keep_their_resolution(any_device: str, name: str) -> None:
+    """Nodes around bundles far narrower than the resolution of a cosine are as narrow as the bundles, and some nodes
+    are wider than pi/2, where there is a light inside."""
+    narrow, widest = [], 0.0
+    for seed in (0, 2):  # with the large anchor
+        angles = _outcome(any_device, name, False, seed).angles
+        nodes = RAYS // 4
+        narrow += [angles[0][:nodes].max(), angles[0][4 * nodes : 5 * nodes].max()]
+        widest = max(widest, angles[2].max())
+        assert all((a >= 0.0).all() and (a <= np.pi + 1e-6).all() for a in angles)
+    assert max(narrow[::2]) < 3e-6 and max(narrow[1::2]) < 4e-4
+    assert (widest > 2.0) == (name == "inside")
