@@ -132,7 +132,7 @@ def _options() -> argparse.ArgumentParser:
     publisher.options(parser)
     parser.add_argument("--output", type=Path, default=Path("demo_output"), metavar="FOLDER", help="where pictures go")
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda:N (default: auto)")
-    parser.add_argument("--pipeline", default="mesh_bvh", choices=list(pipelines), help="default: mesh_bvh")
+    parser.add_argument("--pipeline", default="cone_hierarchy", choices=list(pipelines), help="default: cone_hierarchy")
     variants = sorted({variant for names in pipelines.values() for variant in names})
     parser.add_argument("--variant", default="", choices=["", *variants], help="default: the first of the pipeline")
     return parser

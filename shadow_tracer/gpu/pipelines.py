@@ -48,12 +48,6 @@ class PipelineEntry:
 
 
 REGISTRY: dict[str, PipelineEntry] = {
-    "mesh_bvh": PipelineEntry(
-        ("refit", "rebuild", "binary"),
-        "shadow_tracer.gpu.mesh_bvh",
-        "MeshBvh",
-        "bounding volume hierarchy over the triangles, refitted while only positions change",
-    ),
     "cone_hierarchy": PipelineEntry(
         (
             "linear",
@@ -69,6 +63,12 @@ REGISTRY: dict[str, PipelineEntry] = {
         "shadow_tracer.gpu.cone_hierarchy.pipeline",
         "make",
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
+    ),
+    "mesh_bvh": PipelineEntry(
+        ("refit", "rebuild", "binary"),
+        "shadow_tracer.gpu.mesh_bvh",
+        "MeshBvh",
+        "bounding volume hierarchy over the triangles, refitted while only positions change",
     ),
     "brute_force": PipelineEntry(
         ("filtered", "scalar", "float64"),

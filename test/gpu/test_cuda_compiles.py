@@ -7,7 +7,25 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-MODULES = ("buffers", "unproject", "light_frame", "shadow_test", "brute_force", "mesh_bvh")
+MODULES = (
+    "buffers",
+    "unproject",
+    "projection",
+    "triangle_setup",
+    "shadow_test",
+    "brute_force",
+    "mesh_bvh",
+    "sort",
+    "cone_hierarchy.corners",
+    "cone_hierarchy.rays",
+    "cone_hierarchy.keys",
+    "cone_hierarchy.boxes",
+    "cone_hierarchy.descent",
+    "cone_hierarchy.descent_wide",
+    "cone_hierarchy.cones",
+    "cone_hierarchy.occluders",
+    "cone_hierarchy.breadth_first",
+)
 
 
 @pytest.mark.parametrize("name", MODULES)

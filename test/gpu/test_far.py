@@ -12,7 +12,7 @@ import oracle
 import pytest
 from scenario import Scenario
 
-from shadow_tracer import DirectionalLight, PointLight
+from shadow_tracer import Camera, DirectionalLight, PointLight, State
 
 _TRAVEL = np.array([2.0, 1.0, -2.0])  # length 3, so that distances along it are exact
 
@@ -219,3 +219,16 @@ def test_absurd_lights_are_refused_or_exact(tracer: Any, size: float) -> None:
         assert str(error).startswith("position:")
         return
     np.testing.assert_array_equal(tracer.occluded(points, light, 0.01), [True, False, False])
+
+
+def test_a_few_pixels_at_the_end_of_the_world_blind_nobody(tracer: Any) -> None:
+    """Measurements far beyond all others do not push the rest into the exact decision."""
+    rng = np.random.default_rng(5)
+    camera = Camera(48, 48, 40.0, 40.0, 23.5, 23.5)
+    depth = rng.uniform(4.0, 5.0, (48, 48)).astype(np.float32)
+    depth[1::16, 3::16] = 1e30
+    tracer.scene.put("ball", *geometry.icosphere(3, 0.5, (0.0, 0.0, 3.0)))
+    frame = tracer.trace(depth, camera, [PointLight("lamp", (0.3, -1.0, 0.2))], bias=0.01)
+    assert 0.05 < (frame.state("lamp") == State.SHADOWED).mean() < 0.5
+    if tracer.variant != "float64":
+        assert frame.counters["retested"] < 20

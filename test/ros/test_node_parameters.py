@@ -65,7 +65,7 @@ def test_a_change_shows_in_the_next_mask(rig: Rig, change: dict[str, Any]) -> No
         ("bias__constant", "small", "Wrong parameter type"),
         ("mask__unknown_value", 255, "out of range"),
         ("pose_source", "gps", "pose_source: expected string (tf, topic, parameter), got 'gps'"),
-        ("variant", "float64", "variant: expected one of refit, rebuild"),
+        ("variant", "float64", "variant: expected one of linear, linear_scalar"),
         ("camera_pose", [0.0], "camera_pose: expected double array (7 numbers)"),
         ("lights", ["a b"], "lights: expected names"),
         ("lights", ["a", "a"], "lights: expected different names"),
@@ -86,7 +86,7 @@ def test_what_is_refused_changes_nothing(rig: Rig, name: str, value: Any, reason
 
 def test_several_at_once_are_taken_or_refused_together(rig: Rig) -> None:
     assert "variant" in rig.set(bias__constant=1.0, pipeline="brute_force", variant="refit")
-    assert rig.node and rig.node.settings.bias_constant == 0.02 and rig.node.settings.pipeline == "mesh_bvh"
+    assert rig.node and rig.node.settings.bias_constant == 0.02 and rig.node.settings.pipeline == "cone_hierarchy"
     assert rig.set(bias__constant=1.0, pipeline="brute_force", variant="float64") == ""
     assert rig.node.settings.bias_constant == 1.0
 
@@ -98,10 +98,12 @@ def test_pipelines_can_be_switched_and_give_the_same_mask(rig: Rig) -> None:
         ("brute_force", "float64"),
         ("mesh_bvh", "rebuild"),
         ("mesh_bvh", ""),
+        ("cone_hierarchy", "precise_seatp"),
+        ("cone_hierarchy", ""),
     ):
         assert rig.set(pipeline=pipeline, variant=variant) == ""
         np.testing.assert_array_equal(rig.mask_of(rig.send_frame(wall()), timeout=120.0), before)
-        full = variant or {"brute_force": "filtered", "mesh_bvh": "refit"}[pipeline]
+        full = variant or {"brute_force": "filtered", "mesh_bvh": "refit", "cone_hierarchy": "linear"}[pipeline]
         rig.wait_status(DEVICE, OK, f"{pipeline}/{full} on cpu")
     assert rig.value(PROCESSING, "faults") == "0"
 

@@ -27,7 +27,7 @@ SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids
 @SIGNALS
 def test_signals_end_it_cleanly(number: signal.Signals) -> None:
     with NodeProcess() as process:
-        process.wait_for("Ready: mesh_bvh/refit on cpu")
+        process.wait_for("Ready: cone_hierarchy/linear on cpu")
         assert process.stop(number) == (0, "")
 
 

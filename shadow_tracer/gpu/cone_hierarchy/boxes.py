@@ -107,10 +107,11 @@ def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4)
     store_box(tree, leaf, low, high, nearest, farthest)
 
 
-# make_leaves for 16 rays a leaf, in vector registers. Minima are found by halving: a running minimum would have to be
+# make_leaves for 16 rays a leaf, in the CPU's vector registers. Minima are found by halving: a running minimum would have to be
 # taken in order.
 @wp.func_native(
     r"""
+#if !defined(__CUDA_ARCH__)
     const int n = tree.counts.data[0];
     float* out = tree.leaves.data + 80 * (size_t)leaf;
     float *U = out, *V = out + 16, *W = out + 32, *Z = out + 48, *M = out + 64;
@@ -161,6 +162,7 @@ def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4)
     box[16 * 7] = most[3][0] + 0x1p-21f * fabsf(most[3][0]);
     for (int j = used; j < 16; ++j)
         M[j] = -1.0e30f;
+#endif
     """
 )
 def make_leaf(leaf: int, space: LightSpace, rays: wp.array(dtype=wp.vec4), tree: RayTree):
