@@ -76,11 +76,13 @@ class Frame:
         self.stages = stages
         """Milliseconds per stage, in order."""
         self.counters = counters
-        """What was done for all lights together: ``rays`` traced, ``nodes_visited`` of a tree, ``leaf_tests`` of the
-        float32 filter, ``retested`` pairs it could not decide, ``exact`` determinants that needed expansion arithmetic,
-        ``overflow_passes`` because the queue was full; and of the scene: ``triangles``, ``degenerate`` ones among them
-        that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not finite), and
-        ``culled`` ones, which cast nothing because their front faces the last light and front faces are culled."""
+        """What was done for all lights together: ``rays`` traced, ``nodes_visited`` of a tree, ``accepted`` ones that a
+        triangle covers, ``passes`` through a tree of rays, ``peak_queue`` entries of the fullest queue, ``leaf_tests``
+        of the float32 filter, ``retested`` pairs it could not decide, ``exact`` determinants that needed expansion
+        arithmetic, ``overflow_passes`` because the queue was full; and of the scene: ``triangles``, ``degenerate``
+        ones among them that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not
+        finite), and ``culled`` ones, which cast nothing because their front faces the last light and front faces are
+        culled."""
         self._states = states
 
     def state(self, name: str) -> ByteImage:

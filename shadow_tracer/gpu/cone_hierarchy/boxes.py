@@ -107,8 +107,8 @@ def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4)
     store_box(tree, leaf, low, high, nearest, farthest)
 
 
-# make_leaves for 16 rays a leaf, in the CPU's vector registers. Minima are found by halving: a running minimum would have to be
-# taken in order.
+# make_leaves for 16 rays a leaf, in the CPU's vector registers. Minima are found by halving: a running minimum would
+# have to be taken in order.
 @wp.func_native(
     r"""
 #if !defined(__CUDA_ARCH__)

@@ -17,7 +17,8 @@ from shadow_tracer.gpu.light_frame import SHADOWED
 from shadow_tracer.gpu.sort import KeySort
 from shadow_tracer.gpu.triangles import Context
 
-FACES = 6
+FACES = wp.constant(6)
+_STRIPES = wp.constant(64)
 CURVE_BITS = 14
 KEY_BITS = 3 + 2 * CURVE_BITS
 CELLS = 2.0**CURVE_BITS
@@ -89,7 +90,8 @@ def hilbert_index(x: int, y: int) -> int:
 
 @wp.kernel(enable_backward=False)
 def clear_extent(extent: wp.array(dtype=float)):
-    """``extent``: low u, low v, high u, high v of the rays of each face."""
+    """``extent``: low u, low v, high u, high v of the rays of each face, in ``_STRIPES`` rows that threads spread
+    over."""
     i = wp.tid()
     extent[i] = wp.where((i & 3) < 2, 2.0, -2.0)
 
@@ -103,7 +105,7 @@ def measure_extent(rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8
     on = face_axes(face, rays[i])
     u = on[1] / on[0]
     v = on[2] / on[0]
-    base = 4 * face
+    base = 4 * (FACES * (i & (_STRIPES - 1)) + face)
     # Looking first keeps almost all threads from queueing for the same few addresses.
     if u < extent[base]:
         wp.atomic_min(extent, base, u)
@@ -116,12 +118,20 @@ def measure_extent(rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8
 
 
 @wp.kernel(enable_backward=False)
-def fit_cells(extent: wp.array(dtype=float), fit: wp.array(dtype=wp.vec4)):
+def fit_cells(stripes: int, extent: wp.array(dtype=float), fit: wp.array(dtype=wp.vec4)):
     """(low u, low v, cells per unit, 1 if the face has rays) of each face."""
     face = wp.tid()
-    low_u = extent[4 * face]
-    low_v = extent[4 * face + 1]
-    size = wp.max(extent[4 * face + 2] - low_u, extent[4 * face + 3] - low_v)
+    low_u = float(2.0)
+    low_v = float(2.0)
+    high_u = float(-2.0)
+    high_v = float(-2.0)
+    for stripe in range(stripes):
+        base = 4 * (FACES * stripe + face)
+        low_u = wp.min(low_u, extent[base])
+        low_v = wp.min(low_v, extent[base + 1])
+        high_u = wp.max(high_u, extent[base + 2])
+        high_v = wp.max(high_v, extent[base + 3])
+    size = wp.max(high_u - low_u, high_v - low_v)
     if size < 0.0:
         fit[face] = wp.vec4(0.0, 0.0, 0.0, 0.0)
     else:
@@ -137,7 +147,6 @@ def make_keys(
     fit: wp.array(dtype=wp.vec4),
     keys: wp.array(dtype=int),
     order: wp.array(dtype=int),
-    counts: wp.array(dtype=int),
 ):
     """Key of every sample; those not in the tree, or found in shadow by an earlier traversal, go to the end."""
     i = wp.tid()
@@ -155,7 +164,18 @@ def make_keys(
     if hilbert != 0:
         code = hilbert_index(x, y)
     keys[i] = (face << (2 * CURVE_BITS)) | code
-    wp.atomic_add(counts, 0, 1)
+
+
+@wp.kernel(enable_backward=False)
+def count_keys(count: int, keys: wp.array(dtype=int), counts: wp.array(dtype=int)):
+    """``counts[0]``: how many of the sorted keys belong to rays. The last of them is alone in knowing."""
+    i = wp.tid()
+    if keys[i] != LAST_KEY:
+        last = bool(i + 1 == count)
+        if not last:
+            last = keys[i + 1] == LAST_KEY
+        if last:
+            counts[0] = i + 1
 
 
 # Face and (u, v) of 16 rays from `base` on; lanes behind the last sample repeat it.
@@ -312,7 +332,7 @@ class RayOrder:
         self._packed = packed
         device = context.frame.device
         self._sort = KeySort(context.frame.bounds.max_rays, device)
-        self._extent = wp.empty(4 * FACES, dtype=float, device=device)
+        self._extent = wp.empty(4 * FACES * _STRIPES, dtype=float, device=device)
         self.fit = wp.empty(FACES, dtype=wp.vec4, device=device)
         self.keys = self._sort.keys
         self.order = self._sort.values
@@ -324,18 +344,19 @@ class RayOrder:
         if self._packed:
             # One thread: it can pack the keys of present rays as it goes, so that only they are sorted.
             wp.launch(measure_extent_wide, dim=1, inputs=[count, frame.rays, who.group, self._extent], device=device)
-            wp.launch(fit_cells, dim=FACES, inputs=[self._extent, self.fit], device=device)
+            wp.launch(fit_cells, dim=FACES, inputs=[1, self._extent, self.fit], device=device)
             inputs = [count, frame.rays, states, who.group, self.fit, self.keys, self.order, who.counts]
             wp.launch(pack_keys, dim=1, inputs=inputs, device=device)
             self._sort.sort(int(who.counts.numpy()[0]), *_SORTED_BITS)
             return
         who.counts[0:1].zero_()
-        wp.launch(clear_extent, dim=4 * FACES, inputs=[self._extent], device=device)
+        wp.launch(clear_extent, dim=4 * FACES * _STRIPES, inputs=[self._extent], device=device)
         wp.launch(measure_extent, dim=count, inputs=[frame.rays, who.group, self._extent], device=device)
-        wp.launch(fit_cells, dim=FACES, inputs=[self._extent, self.fit], device=device)
-        inputs = [self._hilbert, frame.rays, states, who.group, self.fit, self.keys, self.order, who.counts]
+        wp.launch(fit_cells, dim=FACES, inputs=[_STRIPES, self._extent, self.fit], device=device)
+        inputs = [self._hilbert, frame.rays, states, who.group, self.fit, self.keys, self.order]
         wp.launch(make_keys, dim=count, inputs=inputs, device=device)
-        self._sort.sort(count, 0, KEY_BITS)
+        self._sort.sort(count, *(_SORTED_BITS if self._hilbert == 0 else (0, KEY_BITS)))
+        wp.launch(count_keys, dim=count, inputs=[count, self.keys, who.counts], device=device)
 
     def nbytes(self) -> int:
         """Bytes on the device."""
