@@ -52,18 +52,59 @@ def summary(values: list[float]) -> dict[str, float]:
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95))}
 
 
-def finish(title: str, rows: list[dict[str, Any]], json_file: str | None) -> None:
-    """Print a table of ``rows`` (all with the same keys), and write it to ``json_file`` with the machine."""
-    about = machine()
-    print(f"\n{title}\n" + ", ".join(f"{key} {value}" for key, value in about.items()) + "\n")
+def threads(count: int) -> str:
+    """Confine this process, with the threads it has and will have, to ``count`` cores; says in words what holds now.
+
+    Call it before anything is measured. It binds everybody alike: us, Warp, which uses one thread anyway, and Embree,
+    whose query does too, but whose build would use all cores.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return "threads: not confined on this system (no sched_setaffinity); the builds of Embree may use all cores"
+    cores = sorted(os.sched_getaffinity(0))[:count]
+    for task in os.listdir("/proc/self/task"):
+        os.sched_setaffinity(int(task), cores)
+    return f"threads: everything, ours and the peers', on {len(cores)} core{'s' * (len(cores) > 1)} (affinity {cores})"
+
+
+def table(rows: list[dict[str, Any]]) -> None:
+    """Print ``rows``, all with the same keys."""
     cells = [[_text(value) for value in row.values()] for row in rows]
     head = list(rows[0])
     widths = [max(len(line[k]) for line in [head, *cells]) for k in range(len(head))]
     for line in [head, ["-" * width for width in widths], *cells]:
         print("| " + " | ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)) + " |")
+
+
+def header(title: str) -> None:
+    """Print a title and the machine."""
+    print(f"\n{title}\n" + ", ".join(f"{key} {value}" for key, value in machine().items()) + "\n")
+
+
+def write_json(title: str, rows: list[dict[str, Any]], json_file: str | None) -> None:
+    """Write ``rows`` to ``json_file``, if there is one, with the machine."""
     if json_file:
-        Path(json_file).write_text(json.dumps({"title": title, "machine": about, "rows": rows}, indent=1) + "\n")
+        text = json.dumps({"title": title, "machine": machine(), "rows": rows}, indent=1)
+        Path(json_file).write_text(text + "\n")
+
+
+def finish(title: str, rows: list[dict[str, Any]], json_file: str | None) -> None:
+    """Print a table of ``rows`` (all with the same keys), and write it to ``json_file`` with the machine."""
+    header(title)
+    table(rows)
+    write_json(title, rows, json_file)
+
+
+def compact(count: int | None) -> str:
+    """A count in at most five characters or so: 987, 45.6k, 13.2M; "-" for None."""
+    if count is None:
+        return "-"
+    for unit, letter in ((1_000_000_000, "G"), (1_000_000, "M"), (10_000, "k")):
+        if count >= unit:
+            return f"{count / (1000 if letter == 'k' else unit):.3g}{letter}"
+    return str(count)
 
 
 def _text(value: Any) -> str:
+    if value is None:
+        return "-"
     return f"{value:.2f}" if isinstance(value, float) else str(value)

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Views to measure: the real meshes where the data folder is present, and the demo's workshop always."""
+"""Views to measure: the real meshes where the data folder is present, and always the scenes made by code and the demo's
+workshop."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import procedural
 from report import ROOT
 
-from shadow_tracer import Camera
+from shadow_tracer import Camera, PointLight
 
 
 @dataclass(frozen=True)
@@ -23,16 +26,18 @@ class View:
         positions: (F, V, 3) float64 vertices per frame; at least two frames that differ.
         triangles: (T, 3) int32.
         camera: where the depth image is taken from.
-        light: (3,) position of a point light.
+        light: a point light or the sun.
         bias: metres (scene units).
+        pixels: (H, W) bool, those that count; None: all.
     """
 
     name: str
     positions: np.ndarray
     triangles: np.ndarray
     camera: Camera
-    light: np.ndarray
+    light: procedural.Light
     bias: float
+    pixels: np.ndarray | None = None
 
 
 # name, file, eye, target, light, bias in the units of the mesh
@@ -43,6 +48,35 @@ _REAL = (
     ("conference", "conference", (1000, 450, 400), (200, 100, -300), (300, 550, -200), 1.0),
 )
 
+# scene, view, light: the pairs of the prototype's tables, and the sun
+_PROCEDURAL = (
+    ("robots", "corridor", "inside"),
+    ("robots", "corridor", "outside"),
+    ("robots", "corridor", "far"),
+    ("robots", "corridor", "sun"),
+    ("robots", "grazing", "inside"),
+    ("robots", "grazing", "grazing"),
+    ("robots", "wall", "inside"),
+    ("robots", "disc", "inside"),
+    ("robots", "disc", "outside"),
+    ("museum", "room", "inside"),
+    ("museum", "room", "far"),
+    ("museum", "centre", "inside"),
+    ("museum", "centre", "corner"),
+    ("museum", "wallview", "inside"),
+)
+
+# What is measured when nothing is asked for.
+STANDARD = (
+    "BART robots",
+    "Sponza",
+    "Sibenik",
+    "conference",
+    "workshop",
+    "robots/corridor/inside",
+    "museum/room/inside",
+)
+
 
 def data_folder() -> Path | None:
     """The folder of real data: SHADOW_TRACER_DATA, or ../shared/data beside the project, if it exists."""
@@ -50,34 +84,55 @@ def data_folder() -> Path | None:
     return folder if folder.is_dir() else None
 
 
-def look_at(eye: tuple[float, ...], target: tuple[float, ...], up: tuple[float, ...], size: int) -> Camera:
-    """A square camera at ``eye``, optical frame, 58 degrees wide."""
-    z = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    x = np.cross(z, up)
-    x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = x, np.cross(z, x), z, eye
-    middle = 0.5 * size - 0.5
-    return Camera(size, size, 0.9 * size, 0.9 * size, middle, middle, pose)
+def names() -> list[str]:
+    """The names of all views, whether there are data for them or not."""
+    return [*(row[0] for row in _REAL), "workshop", *("/".join(row) for row in _PROCEDURAL)]
 
 
-def views(size: int) -> Iterator[View]:
-    """All views there are data for; says what it skips."""
-    folder = data_folder()
-    for name, file, eye, target, light, bias in _REAL:
-        path = folder / "meshes" / f"{file}.npz" if folder else None
-        if path is None or not path.is_file():
+def views(size: int, wanted: list[str]) -> Iterator[View]:
+    """The views among ``wanted`` that there are data for, made one by one; says what it skips."""
+    makers: dict[str, Callable[[int], View | None]] = {row[0]: partial(_real, *row) for row in _REAL}
+    makers["workshop"] = _workshop
+    makers.update({"/".join(row): partial(_procedural, *row) for row in _PROCEDURAL})
+    for name in wanted:
+        view = makers[name](size)
+        if view is None:
             print(f"skipped without the data folder (set SHADOW_TRACER_DATA): {name}")
-            continue
-        archive = np.load(path)
-        vertices = archive["vertices"].astype(np.float64)
-        if "vertices_t" in archive:
-            positions = archive["vertices_t"].astype(np.float64)
         else:
-            # The meshes stand still: a shift below the bias makes every frame a new one and changes no picture.
-            positions = np.stack([vertices + shift * bias * 1e-3 for shift in range(4)])
-        yield View(name, positions, archive["triangles"], look_at(eye, target, (0, 1, 0), size), np.array(light), bias)
-    yield _workshop(size)
+            yield view
+
+
+def _real(
+    name: str,
+    file: str,
+    eye: tuple[float, float, float],
+    target: tuple[float, float, float],
+    light: tuple[float, float, float],
+    bias: float,
+    size: int,
+) -> View | None:
+    folder = data_folder()
+    path = folder / "meshes" / f"{file}.npz" if folder else None
+    if path is None or not path.is_file():
+        return None
+    archive = np.load(path)
+    vertices = archive["vertices"].astype(np.float64)
+    if "vertices_t" in archive:
+        positions = archive["vertices_t"].astype(np.float64)
+    else:
+        # The meshes stand still: a shift below the bias makes every frame a new one and changes no picture.
+        positions = np.stack([vertices + shift * bias * 1e-3 for shift in range(4)])
+    middle = 0.5 * size - 0.5
+    pose = procedural.look_at(eye, target, (0, 1, 0))
+    camera = Camera(size, size, 0.9 * size, 0.9 * size, middle, middle, pose)
+    return View(name, positions, archive["triangles"], camera, PointLight("lamp", light), bias)
+
+
+def _procedural(scene: str, eye: str, light: str, size: int) -> View:
+    made = procedural.SCENES[scene](frames=4)
+    where = made.eyes[eye]
+    name = f"{scene}/{eye}/{light}"
+    return View(name, made.positions, made.triangles, where.camera(size), made.lights[light], 0.01, where.pixels(size))
 
 
 def _workshop(size: int) -> View:
@@ -89,4 +144,4 @@ def _workshop(size: int) -> View:
     middle = 0.5 * size - 0.5
     camera = Camera(size, size, 0.7 * size, 0.7 * size, middle, middle, pose)
     light = pose[:3, :3] @ np.array([1.5, -1.0, 0.5]) + pose[:3, 3]
-    return View("workshop", positions, scene.triangles, camera, light, 0.01)
+    return View("workshop", positions, scene.triangles, camera, PointLight("lamp", light), 0.01)

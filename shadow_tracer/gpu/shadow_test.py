@@ -149,6 +149,37 @@ FILTER_BLOCK = r"""
 """
 
 
+# The same for sixteen rays, [U V W Z magnitude][ray], as bit masks: of those the answer is not no for, and yes for. For
+# Clang, that is for the CPU: its vector types become whatever registers there are.
+SIXTEEN = r"""
+    typedef float Sixteen __attribute__((ext_vector_type(16), aligned(4)));
+    typedef int SixteenInts __attribute__((ext_vector_type(16)));
+    typedef bool SixteenBits __attribute__((ext_vector_type(16)));
+    auto bits = [](SixteenInts x) -> int {
+        return __builtin_bit_cast(unsigned short, __builtin_convertvector(x, SixteenBits));
+    };
+"""
+FILTER_SIXTEEN = (
+    SIXTEEN
+    + r"""
+    auto filter16 = [&](const float* record, const float* rays, int& yes) -> int {
+        const Sixteen U = *(const Sixteen*)rays, V = *(const Sixteen*)(rays + 16), W = *(const Sixteen*)(rays + 32);
+        const Sixteen Z = *(const Sixteen*)(rays + 48), M = *(const Sixteen*)(rays + 64);
+        const Sixteen edge = record[3] * M, depth = record[7] * M + record[11];
+        const Sixteen e0 = record[0] * U + record[1] * V + record[2] * W;
+        const Sixteen e1 = record[4] * U + record[5] * V + record[6] * W;
+        const Sixteen e2 = record[8] * U + record[9] * V + record[10] * W;
+        const Sixteen g = record[12] * U + record[13] * V + record[14] * Z - record[15];
+        const int no = bits((e0 < -edge) | (e1 < -edge) | (e2 < -edge) | (g < -depth));
+        if (no == 0xFFFF)
+            return 0;
+        yes = bits((e0 > edge) & (e1 > edge) & (e2 > edge) & (g > depth)) & ~no;
+        return ~no & 0xFFFF;
+    };
+"""
+)
+
+
 @wp.func_native(FILTER + "return filter(ray, magnitude, (const wp::vec4*)records.data + 4 * (size_t)triangle);")
 def filter_pair(ray: wp.vec4, magnitude: float, records: wp.array2d(dtype=wp.vec4), triangle: int) -> int:
     """NO, YES or MAYBE from the float32 record of a triangle."""

@@ -12,7 +12,7 @@ import oracle
 import pytest
 from scenario import Scenario
 
-from shadow_tracer import Camera, DirectionalLight, PointLight, State
+from shadow_tracer import Bias, Camera, DirectionalLight, PointLight, State
 
 _TRAVEL = np.array([2.0, 1.0, -2.0])  # length 3, so that distances along it are exact
 
@@ -232,3 +232,19 @@ def test_a_few_pixels_at_the_end_of_the_world_blind_nobody(tracer: Any) -> None:
     assert 0.05 < (frame.state("lamp") == State.SHADOWED).mean() < 0.5
     if tracer.variant != "float64":
         assert frame.counters["retested"] < 20
+
+
+@pytest.mark.parametrize("roof", [True, False])
+def test_a_pixel_whose_bias_dwarfs_the_scene(tracer: Any, roof: bool) -> None:
+    """A measurement far behind the others begins its ray hundreds of metres away, where float32 sees nothing of it; a
+    roof farther on decides all the same."""
+    camera = Camera(16, 16, 20.0, 20.0, 7.5, 7.5)
+    depth = np.random.default_rng(5).uniform(4.0, 5.0, (16, 16)).astype(np.float32)
+    depth[3, 3] = 300.0  # 30 times the median are left out of the frame that float32 works in
+    tracer.scene.put("ball", *geometry.icosphere(1, 0.5, (0.0, 0.0, 3.0)))
+    if roof:
+        tracer.scene.put("roof", *geometry.square(1, -1500.0, 600.0, (-60.0, 300.0)))
+    sun = DirectionalLight("sun", (0.0, 1.0, 0.0))
+    frame = tracer.trace(depth, camera, [sun], bias=Bias(0.01, 0.01))  # 900 m
+    assert frame.state("sun")[3, 3] == (State.SHADOWED if roof else State.LIT)
+    assert frame.state("sun")[12, 12] == (State.SHADOWED if roof else State.LIT)

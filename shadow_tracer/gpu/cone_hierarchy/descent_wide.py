@@ -12,13 +12,14 @@ from shadow_tracer.gpu.cone_hierarchy.rays import Answers
 from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, space_of
 from shadow_tracer.gpu.cone_hierarchy.triangle_planes import TRIANGLE, Occluders
 from shadow_tracer.gpu.light_frame import LightFrame
-from shadow_tracer.gpu.shadow_test import FILTER_BLOCK
+from shadow_tracer.gpu.shadow_test import FILTER_SIXTEEN
 
 # Sixteen lanes. `boxes16` answers for the 16 boxes of a group with two bit masks.
 _WIDE = (
     TRIANGLE
-    + FILTER_BLOCK
+    + FILTER_SIXTEEN
     + r"""
+    auto largest = [](Sixteen x, Sixteen y) -> Sixteen { return x > y ? x : y; };
     wp::int64 nodes = 0, tests = 0, accepted = 0;
     Planes it;
     Seen seen;
@@ -27,38 +28,27 @@ _WIDE = (
         const float pv0 = seen.bounded ? seen.low[1] : -2.0f, pv1 = seen.bounded ? seen.high[1] : 2.0f;
         const float pw0 = seen.bounded ? seen.low[2] : -2.0f, pw1 = seen.bounded ? seen.high[2] : 2.0f;
         const float nearest = seen.bounded ? seen.nearest : 3.0e38f;
-        int pass[16], all[16];
-        for (int j = 0; j < 16; ++j) {
-            const float cu = b[j], cv = b[16 + j], cw = b[32 + j], eu = b[48 + j], ev = b[64 + j], ew = b[80 + j];
-            const float t0 = b[96 + j], t1 = b[112 + j];
-            const float most = fabsf(t0) > fabsf(t1) ? fabsf(t0) : fabsf(t1);
-            const float m = 4.0f + 2.001f * most;
-            const float edge = it.edge * m, plane = it.plane * m;
-            const float c0 = it.n[0][0] * cu + it.n[0][1] * cv + it.n[0][2] * cw;
-            const float c1 = it.n[1][0] * cu + it.n[1][1] * cv + it.n[1][2] * cw;
-            const float c2 = it.n[2][0] * cu + it.n[2][1] * cv + it.n[2][2] * cw;
-            const float r0 = it.reach[0][0] * eu + it.reach[0][1] * ev + it.reach[0][2] * ew;
-            const float r1 = it.reach[1][0] * eu + it.reach[1][1] * ev + it.reach[1][2] * ew;
-            const float r2 = it.reach[2][0] * eu + it.reach[2][1] * ev + it.reach[2][2] * ew;
-            const float g = it.p[0] * cu + it.p[1] * cv + it.p[2] * cw;
-            const float h = it.spread[0] * eu + it.spread[1] * ev + it.spread[2] * ew;
-            const int seen_here = (cu - eu <= pu1) & (cu + eu >= pu0) & (cv - ev <= pv1) & (cv + ev >= pv0)
-                & (cw - ew <= pw1) & (cw + ew >= pw0) & (t0 <= nearest);
-            pass[j] = (c0 + r0 >= -edge) & (c1 + r1 >= -edge) & (c2 + r2 >= -edge)
-                & (g + h + it.p[3] * t0 >= -plane) & seen_here;
-            all[j] = (c0 - r0 > edge) & (c1 - r1 > edge) & (c2 - r2 > edge) & (g - h + it.p[3] * t1 > plane);
-            if (it.blind) {
-                pass[j] = eu >= 0.0f;
-                all[j] = 0;
-            }
+        auto at = [&](int k) { return *(const Sixteen*)(b + 16 * k); };
+        const Sixteen cu = at(0), cv = at(1), cw = at(2), eu = at(3), ev = at(4), ew = at(5), t0 = at(6), t1 = at(7);
+        if (it.blind) {
+            covered = 0;
+            return bits(eu >= 0.0f);
         }
-        int mask = 0;
-        covered = 0;
-        for (int j = 0; j < 16; ++j) {
-            mask |= pass[j] << j;
-            covered |= all[j] << j;
-        }
-        covered &= mask;
+        const Sixteen m = 4.0f + 2.001f * largest(largest(t0, -t0), largest(t1, -t1));
+        const Sixteen edge = it.edge * m, plane = it.plane * m;
+        const Sixteen c0 = it.n[0][0] * cu + it.n[0][1] * cv + it.n[0][2] * cw;
+        const Sixteen c1 = it.n[1][0] * cu + it.n[1][1] * cv + it.n[1][2] * cw;
+        const Sixteen c2 = it.n[2][0] * cu + it.n[2][1] * cv + it.n[2][2] * cw;
+        const Sixteen r0 = it.reach[0][0] * eu + it.reach[0][1] * ev + it.reach[0][2] * ew;
+        const Sixteen r1 = it.reach[1][0] * eu + it.reach[1][1] * ev + it.reach[1][2] * ew;
+        const Sixteen r2 = it.reach[2][0] * eu + it.reach[2][1] * ev + it.reach[2][2] * ew;
+        const Sixteen g = it.p[0] * cu + it.p[1] * cv + it.p[2] * cw;
+        const Sixteen h = it.spread[0] * eu + it.spread[1] * ev + it.spread[2] * ew;
+        const int mask = bits((cu - eu <= pu1) & (cu + eu >= pu0) & (cv - ev <= pv1) & (cv + ev >= pv0)
+                              & (cw - ew <= pw1) & (cw + ew >= pw0) & (t0 <= nearest) & (c0 + r0 >= -edge)
+                              & (c1 + r1 >= -edge) & (c2 + r2 >= -edge) & (g + h + it.p[3] * t0 >= -plane));
+        covered = mask & bits((c0 - r0 > edge) & (c1 - r1 > edge) & (c2 - r2 > edge)
+                              & (g - h + it.p[3] * t1 > plane));
         return mask;
     };
     // A node, by its number in its level, has no live rays any more.
@@ -81,38 +71,28 @@ _WIDE = (
     auto accept_leaf = [&](int leaf) {
         if (tree.flags.data[leaf])
             return;
-        float* magnitude = tree.leaves.data + 80 * (size_t)leaf + 64;
-        for (int live = tree.live.data[leaf]; live; live &= live - 1) {
-            const int j = __builtin_ctz(live);
-            answers.states.data[tree.order.data[16 * leaf + j]] = 1;
-            magnitude[j] = -1.0e30f;
-        }
+        for (int live = tree.live.data[leaf]; live; live &= live - 1)
+            answers.states.data[tree.order.data[16 * leaf + __builtin_ctz(live)]] = 1;
         tree.live.data[leaf] = 0;
         finish(0, leaf);
     };
     auto test_leaf = [&](int leaf, int triangle) {
         if (tree.flags.data[leaf])
             return;
-        float* ray = tree.leaves.data + 80 * (size_t)leaf;
-        int answer[16];
-        tests += __builtin_popcount(tree.live.data[leaf]);
-        if (!filter_block((const float*)occluders.records.data + 16 * (size_t)triangle, 16, ray, ray + 16, ray + 32,
-                          ray + 48, ray + 64, answer))
+        int live = tree.live.data[leaf], yes = 0;
+        tests += __builtin_popcount(live);
+        const int found = live & filter16((const float*)occluders.records.data + 16 * (size_t)triangle,
+                                          tree.leaves.data + 80 * (size_t)leaf, yes);
+        if (!found)
             return;
-        int live = tree.live.data[leaf];
-        for (int left = live; left; left &= left - 1) {
-            const int j = __builtin_ctz(left);
-            if (answer[j] == 0)
-                continue;
-            const int sample = tree.order.data[16 * leaf + j];
-            if (answer[j] == 2) {
-                settle(sample, triangle);
-                continue;
-            }
-            answers.states.data[sample] = 1;
-            ray[64 + j] = -1.0e30f;
-            live &= ~(1 << j);
-        }
+        yes &= found;
+        for (int left = yes; left; left &= left - 1)
+            answers.states.data[tree.order.data[16 * leaf + __builtin_ctz(left)]] = 1;
+        for (int left = found & ~yes; left; left &= left - 1)
+            settle(tree.order.data[16 * leaf + __builtin_ctz(left)], triangle);
+        if (!yes)
+            return;
+        live &= ~yes;
         tree.live.data[leaf] = live;
         if (live == 0)
             finish(0, leaf);
@@ -160,6 +140,8 @@ _WIDE = (
         }
     };
     for (int t = 0; t < occluders.count; ++t) {
+        if (t + 8 < occluders.count)
+            __builtin_prefetch(occluders.corners.data + occluders.triangles.data[t + 8][0]);
         const wp::vec3i corner = occluders.triangles.data[t];
         const wp::vec4 a = occluders.corners.data[corner[0]], b = occluders.corners.data[corner[1]],
                        c = occluders.corners.data[corner[2]];
