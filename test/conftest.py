@@ -68,7 +68,7 @@ def tracers() -> Tracers:
 # Variants that share most of their code: of each case of the general tests they take turns, two or three of the seven.
 # SHADOW_TRACER_ALL_CASES=1 gives every case to every variant; their own tests and the views always do.
 _SISTERS = ("precise", "precise_sorted", "spheres", "spheres_sorted", "precise_sea", "precise_eatp", "precise_seatp")
-_FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy", "test_tracer_real_data")
+_FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
