@@ -35,7 +35,7 @@ class FrameGraphs:
             return
         self._graphs.move_to_end(key)
         if self._graphs[key] is None:
-            with wp.ScopedCapture(device=self._device) as capture:
+            with wp.ScopedCapture(device=self._device, force_module_load=False) as capture:
                 launch()
             self._graphs[key] = capture.graph
         wp.capture_launch(self._graphs[key])
