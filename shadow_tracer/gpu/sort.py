@@ -9,13 +9,15 @@ import warp as wp
 
 
 # Warp's own radix sort takes digits of 16 bits on the CPU, whose 65,536 counters and write positions do not fit the
-# first cache; 12 bits do. A digit that all keys share is skipped.
+# first cache; up to 12 bits do. A digit that all keys share is skipped.
 @wp.func_native(
     r"""
     int next[4096];
     int at = 0;
-    for (int shift = first_bit; shift < last_bit; shift += 12) {
-        const int mask = (1 << (last_bit - shift < 12 ? last_bit - shift : 12)) - 1;
+    // As few digits as there can be, of about the same size.
+    const int passes = (last_bit - first_bit + 11) / 12, digit = (last_bit - first_bit + passes - 1) / passes;
+    for (int shift = first_bit; shift < last_bit; shift += digit) {
+        const int mask = (1 << (last_bit - shift < digit ? last_bit - shift : digit)) - 1;
         const int* key = keys.data + (size_t)at * count;
         const int* value = values.data + (size_t)at * count;
         int* to_key = keys.data + (size_t)(1 - at) * count;
