@@ -64,6 +64,30 @@ def test_any_queue_capacity(tracer_case: tuple[str, str, str], capacity: int | N
     assert 0.2 < _expected().mean() < 0.98
 
 
+def test_the_counter_of_a_full_queue_stops(tracer_case: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would come round to valid places if it counted more pairs than there are integers."""
+    from shadow_tracer.gpu import engine
+
+    device, pipeline, variant = tracer_case
+    lattice, camera, depth = _uncertain()
+    tracer = ShadowTracer(
+        pipeline, variant, device, Bounds(max_triangles=100, max_rays=100, max_lights=3, queue_capacity=2)
+    )
+    tracer.scene.put("lattice", *lattice)
+    seen: list[int] = []
+    finish = engine.Engine._finish_overflow
+
+    def look(self: engine.Engine, *arguments: object) -> int:
+        seen.extend(self._frame.queue_counts.numpy())
+        return finish(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(engine.Engine, "_finish_overflow", look)
+    tracer.trace(depth, camera, _LIGHTS, 0.0)
+    # Threads that asked before they could see it full; each ray of brute_force leaves after asking once.
+    late = 100 if pipeline == "brute_force" else 0 if device == "cpu" else 100 * 100
+    assert 2 < max(seen) <= 3 + late or (pipeline, variant) == ("brute_force", "float64")
+
+
 def test_more_uncertain_pairs_than_any_queue(tracer_case: tuple[str, str, str]) -> None:
     """Closed sphere, rays exactly through its vertices, a queue of five pairs: still no leak."""
     device, pipeline, variant = tracer_case

@@ -205,8 +205,9 @@ def _depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], 
     seen = np.isfinite(z) & (z > 0.0)
     if not seen.any():
         return previous or make_anchor(camera.position, 1.0, None)
-    # A few samples at the end of the world must not make all others small: float32 could not tell them apart.
-    seen &= z <= 30.0 * float(np.median(z[seen]))
+    # A few samples at the end of the world must not make all others small: float32 could not tell them apart. A
+    # background is no outlier: it has many.
+    seen &= z <= 30.0 * float(np.quantile(z[seen], 0.98))
     z, u, v = z[seen], columns[seen], rows[seen]
     local = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z])
     low, high = local.min(axis=1), local.max(axis=1)

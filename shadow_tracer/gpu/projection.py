@@ -57,7 +57,8 @@ def project_samples(
         else:
             c = frame_coordinates(frame, start)
             rays[i] = wp.vec4(float(c[0]), float(c[1]), float(c[2]), float(c[3]))
-            if bias * frame.inverse_scale > wp.float64(0.5):
+            size = wp.abs(c[0]) + wp.abs(c[1]) + wp.abs(c[2]) + wp.abs(c[3])
+            if bias * frame.inverse_scale > wp.float64(0.5) + size:
                 # The sum above may cancel beyond the bound of the filter; infinity is a maybe for everything.
                 rays[i] = wp.vec4(float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
             if again == 0:
@@ -114,7 +115,8 @@ _BLOCK = 256
         double v = add(add(mul(sx, qx), mul(sy, qy)), mul(sz, qz));
         double h = add(add(mul(fx, qx), mul(fy, qy)), mul(fz, qz));
         double w = sub(w_constant, mul(w_slope, h));
-        const bool far = mul(bias, scale) > 0.5;
+        const double size = add(add(add(absolute(u), absolute(v)), absolute(w)), absolute(h));
+        const bool far = mul(bias, scale) > add(0.5, size);
         u = far ? infinity : u; v = far ? infinity : v; w = far ? infinity : w; h = far ? infinity : h;
         const int is = good[j] != 0;
         const int ray_ends = is & (1 - out) & (bias < distance);

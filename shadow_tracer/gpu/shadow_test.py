@@ -188,8 +188,10 @@ def filter_pair(ray: wp.vec4, magnitude: float, records: wp.array2d(dtype=wp.vec
 
 @wp.func
 def enqueue(sample: int, triangle: int, queue: wp.array(dtype=wp.vec2i), queue_count: wp.array(dtype=int)) -> bool:
-    """Put a pair on the queue; False when it is full. ``queue_count[0]`` then runs past the capacity: the overflow is
-    seen."""
+    """Put a pair on the queue; False when it is full. ``queue_count[0]`` then is past the capacity: the overflow is
+    seen. It stops there (a thread may be late by one): with more uncertain pairs than integers it would come round."""
+    if queue_count[0] > queue.shape[0]:
+        return False
     slot = wp.atomic_add(queue_count, 0, 1)
     if slot >= queue.shape[0]:
         return False

@@ -17,8 +17,9 @@ class Bounds:
         max_triangles: triangles of all meshes together; vertices are bounded by three times as many.
         max_rays: pixels of a depth image; :meth:`ShadowTracer.occluded` works in pieces of this size.
         max_lights: lights of one frame.
-        queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision. A smaller
-            queue costs further passes (counted in ``overflow_passes``), never an answer.
+        queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision; the node
+            queues of the breadth-first variants have an eighth of it for each level. A smaller queue costs further
+            passes (counted in ``overflow_passes``), never an answer.
         grid_entries: (tile, triangle) entries of pipelines that sort triangles into tiles; none of the present ones
             does. Too few will cost passes, never an answer.
 
@@ -33,7 +34,8 @@ class Bounds:
     grid_entries: int = 4_194_304
 
     def __post_init__(self) -> None:
-        # The counter of a full queue runs past its capacity, by one for each ray at most, and must stay below 2^31.
+        # The counter of a full queue runs past its capacity, by one for each thread that was late to see it full, and
+        # must stay below 2^31.
         limits = {"max_triangles": 2**31 // 9, "max_rays": 2**31 // 4, "max_lights": 64, "queue_capacity": 2**30}
         for item in fields(self):
             value = getattr(self, item.name)

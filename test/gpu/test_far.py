@@ -240,7 +240,7 @@ def test_a_pixel_whose_bias_dwarfs_the_scene(tracer: Any, roof: bool) -> None:
     roof farther on decides all the same."""
     camera = Camera(16, 16, 20.0, 20.0, 7.5, 7.5)
     depth = np.random.default_rng(5).uniform(4.0, 5.0, (16, 16)).astype(np.float32)
-    depth[3, 3] = 300.0  # 30 times the median are left out of the frame that float32 works in
+    depth[3, 3] = 300.0  # 30 times what nearly all have are left out of the frame that float32 works in
     tracer.scene.put("ball", *geometry.icosphere(1, 0.5, (0.0, 0.0, 3.0)))
     if roof:
         tracer.scene.put("roof", *geometry.square(1, -1500.0, 30.0, (-67.5, 300.0)))

@@ -2,8 +2,7 @@
 """The ray tree of variant ``linear``: boxes of cubified direction with a range of depth.
 
 Rays are sorted by direction (``keys.py``); 2^log_leaf consecutive ones are a leaf, 2^log_branch consecutive nodes have
-a
-parent: an implicit, left-balanced tree. On the CPU both are 16, so that one go of the vector registers tests all
+one parent: an implicit, left-balanced tree. On the CPU both are 16, so that one go of the vector registers tests all
 children of a node, or all rays of a leaf; on CUDA a leaf is a warp's 32 rays and the tree is four-way.
 
 A node bounds r = h/|h|_inf by centre and half extent, and the depth t by its range (``space.py``): every test is
@@ -41,7 +40,7 @@ class RayTree:
     log_branch: int
     levels: int
     table_bits: int  # the lookup table has 4^table_bits cells per face
-    leaves: wp.array(dtype=float)  # [leaf][U V W Z magnitude][ray]; the magnitude is GONE for rays that need no test
+    leaves: wp.array(dtype=float)  # [leaf][U V W Z magnitude][ray]; lanes that are not ``live`` hold anything
     order: wp.array(dtype=int)  # sample of each ray
     boxes: wp.array(dtype=float)
     live: wp.array(dtype=int)  # of a leaf: bits of its live rays; of a node: number of children with live rays
@@ -96,10 +95,6 @@ def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4)
             for k in range(4):
                 tree.leaves[to + k * size] = ray[k]
             tree.leaves[to + 4 * size] = ray_magnitude(ray)
-        else:
-            for k in range(4):
-                tree.leaves[to + k * size] = 0.0
-            tree.leaves[to + 4 * size] = GONE
     nearest -= _PAD * wp.abs(nearest)
     farthest += _PAD * wp.abs(farthest)
     tree.live[leaf] = live
@@ -121,8 +116,6 @@ def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4)
     tree.flags.data[leaf] = 0;
     tree.live.data[leaf] = used > 0 ? (1 << used) - 1 : 0;
     if (used <= 0) {
-        for (int j = 0; j < 16; ++j)
-            U[j] = V[j] = W[j] = Z[j] = 0.0f, M[j] = -1.0e30f;
         for (int k = 0; k < 8; ++k)
             box[16 * k] = k >= 3 && k < 6 ? -1.0e30f : 0.0f;
         return;
@@ -160,8 +153,6 @@ def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4)
     }
     box[16 * 6] = least[3][0] - 0x1p-21f * fabsf(least[3][0]);
     box[16 * 7] = most[3][0] + 0x1p-21f * fabsf(most[3][0]);
-    for (int j = used; j < 16; ++j)
-        M[j] = -1.0e30f;
 #endif
     """
 )

@@ -184,19 +184,17 @@ _THREAD = (
     _THREAD
     + r"""
     const int t = thread;
-    const wp::vec3i corner = occluders.triangles.data[t];
-    const wp::vec4 a = occluders.corners.data[corner[0]], b = occluders.corners.data[corner[1]],
-                   c = occluders.corners.data[corner[2]];
-    const float size = 1.0f + most3(magnitude_of(a), magnitude_of(b), magnitude_of(c));
+    wp::vec4 at[3];
+    const float size = corners_of(t, at);
     if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)t, it))
         return false;
-    const int touched = size < 1.0e18f ? faces(a, b, c, size) : 63;
+    const int touched = touched_by(at, size);
     for (int pass = 0; pass < 2; ++pass)
         for (int face = 0; face < 6; ++face) {
             if (!(touched >> face & 1) || tree.fit.data[face][3] == 0.0f)
                 continue;
             seen.bounded = false;
-            if (size < 1.0e18f && !look(a, b, c, size, face, seen))
+            if (size < far_out && !look(at[0], at[1], at[2], size, face, seen))
                 continue;
             int run[8];
             const int n = runs(seen, face, run);

@@ -142,17 +142,15 @@ _WIDE = (
     for (int t = 0; t < occluders.count; ++t) {
         if (t + 8 < occluders.count)
             __builtin_prefetch(occluders.corners.data + occluders.triangles.data[t + 8][0]);
-        const wp::vec3i corner = occluders.triangles.data[t];
-        const wp::vec4 a = occluders.corners.data[corner[0]], b = occluders.corners.data[corner[1]],
-                       c = occluders.corners.data[corner[2]];
-        const float size = 1.0f + most3(magnitude_of(a), magnitude_of(b), magnitude_of(c));
-        const int touched = size < 1.0e18f ? faces(a, b, c, size) : 63;
+        wp::vec4 at[3];
+        const float size = corners_of(t, at);
+        const int touched = touched_by(at, size);
         bool loaded = false;
         for (int face = 0; face < 6; ++face) {
             if (!(touched >> face & 1) || tree.fit.data[face][3] == 0.0f)
                 continue;
             seen.bounded = false;
-            if (size < 1.0e18f && !look(a, b, c, size, face, seen))
+            if (size < far_out && !look(at[0], at[1], at[2], size, face, seen))
                 continue;
             int run[8];
             const int count = runs(seen, face, run);

@@ -55,18 +55,33 @@ TRIANGLE = (
         it.blind = !(sum + fabsf(plane[3]) + it.edge + it.plane < 1.0e18f);
         return true;
     };
-    auto magnitude_of = [](const wp::vec4& v) {
-        return fabsf(v[0]) + fabsf(v[1]) + fabsf(v[2]) + fabsf(v[3]);
-    };
     auto settle = [&](int sample, int triangle) {
         if (answers.states.data[sample] == 1)
             return;
         wp::atomic_add(&answers.resume.data[sample], 1);
-        const int slot = wp::atomic_add(&answers.queue_count.data[0], 1);
-        if (slot < answers.queue.shape[0])
+        // As shadow_test.enqueue: the counter stops behind the capacity.
+        const int capacity = answers.queue.shape[0];
+        int slot = answers.queue_count.data[0];
+        if (slot <= capacity)
+            slot = wp::atomic_add(&answers.queue_count.data[0], 1);
+        if (slot < capacity)
             answers.queue.data[slot] = wp::vec2i(sample, triangle);
         else
             answers.states.data[sample] = 4;
+    };
+    // Corners of a triangle; returns 1 + the largest magnitude of them.
+    auto corners_of = [&](int triangle, wp::vec4* at) -> float {
+        float size[3];
+        for (int k = 0; k < 3; ++k) {
+            at[k] = occluders.corners.data[occluders.triangles.data[triangle][k]];
+            size[k] = fabsf(at[k][0]) + fabsf(at[k][1]) + fabsf(at[k][2]) + fabsf(at[k][3]);
+        }
+        return 1.0f + most3(size[0], size[1], size[2]);
+    };
+    // The faces a triangle may touch, as bits; all if its corners are too far out to be judged.
+    const float far_out = 1.0e18f;
+    auto touched_by = [&](const wp::vec4* at, float size) -> int {
+        return size < far_out ? faces(at[0], at[1], at[2], size) : 63;
     };
 """
 )

@@ -30,13 +30,11 @@ _ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
 @wp.func_native(
     descent._THREAD
     + r"""
-    const wp::vec3i corner = occluders.triangles.data[thread];
-    const wp::vec4 a = occluders.corners.data[corner[0]], b = occluders.corners.data[corner[1]],
-                   c = occluders.corners.data[corner[2]];
-    const float size = 1.0f + most3(magnitude_of(a), magnitude_of(b), magnitude_of(c));
+    wp::vec4 at[3];
+    const float size = corners_of(thread, at);
     if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)thread, it))
         return -1;
-    if (!(faces(a, b, c, size) >> face & 1) || !look(a, b, c, size, face, seen))
+    if (!(touched_by(at, size) >> face & 1) || !look(at[0], at[1], at[2], size, face, seen))
         return -1;
     if (number < tree.offset.data[1]) {
         int run[8];

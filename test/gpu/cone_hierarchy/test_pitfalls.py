@@ -34,7 +34,7 @@ P19 early accept that only pays in two passes, or not through a diagonal: test_n
 P20 a covered cone written ray by ray: ``test_everything_covered``; test_node_counts.py::test_a_wall_costs_log_n_nodes
 P21 queues that overflow: test_small_queues.py; test_tracer_bounds.py::test_any_queue_capacity
 P22 peers as oracles: the oracle is test/oracle.py, itself tested by test_oracle.py
-P23 unrolled loops that take for ever to compile: test_compile_time.py
+P23 unrolled loops that take for ever to compile: test_cuda_compiles.py (size of the machine code)
 P24 neighbours that disagree about their edge: test_watertight.py, test_invariance.py
 P25 bias relative to the ray: ``test_grazing_light_on_a_plane``; test_ties.py::test_bias_is_metres_along_the_ray
 """
