@@ -5,10 +5,10 @@ Rays are sorted by direction (``keys.py``); 2^log_leaf consecutive ones are a le
 one parent: an implicit, left-balanced tree. On the CPU both are 16, so that one go of the vector registers tests all
 children of a node, or all rays of a leaf; on CUDA a leaf is a warp's 32 rays and the tree is four-way.
 
-A node bounds r = h/|h|_inf by centre and half extent, and the depth t by its range (``space.py``): every test is
+A node bounds r = h/|h|_inf by centre and half extent, and the depth t by its range (``light_space.py``): every test is
 linear in it. There is no angle, no wide-angle case and no single-ray case, and a node whose rays lie on several cube
-faces is just a large box. Directions are within 3 u of exact (``space.is_wild`` sees to it); the half extent is padded
-by 8 u at each level for that and for its own roundings, depths by 8 u relative.
+faces is just a large box. Directions are within 3 u of exact (``light_space.is_wild`` sees to it); the half extent is
+padded by 8 u at each level for that and for its own roundings, depths by 8 u relative.
 
 Boxes lie in groups of siblings, each quantity of all siblings together: [group][cu cv cw eu ev ew tmin tmax][sibling].
 A node without live rays has half extents of -1e30, which fails every edge test by far.
@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.cone_hierarchy.keys import CURVE_BITS, FACES, RayOrder
-from shadow_tracer.gpu.cone_hierarchy.rays import Participants
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, ray_depth, space_of
+from shadow_tracer.gpu.cone_hierarchy.keys import CURVE_BITS, RayOrder
 from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.light_space import FACES, LightSpace, ray_depth, space_of
+from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.shadow_test import ray_magnitude
 from shadow_tracer.gpu.triangles import Context
 

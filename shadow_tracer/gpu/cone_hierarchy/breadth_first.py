@@ -34,9 +34,9 @@ from shadow_tracer.gpu.cone_hierarchy.cone_test import (
     test_sphere,
 )
 from shadow_tracer.gpu.cone_hierarchy.cones import ConeTree, Leaves, Tree, child_of, finish, leaf_sample
-from shadow_tracer.gpu.cone_hierarchy.rays import Answers, settle
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace
 from shadow_tracer.gpu.light_frame import SHADOWED
+from shadow_tracer.gpu.light_space import LightSpace
+from shadow_tracer.gpu.participants import Answers, settle
 from shadow_tracer.gpu.shadow_test import NO, filter_pair, ray_magnitude
 from shadow_tracer.gpu.triangles import Context
 

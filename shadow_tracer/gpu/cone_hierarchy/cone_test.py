@@ -21,16 +21,16 @@ can go; and they must go, because
   cosine of the half-angle have no such places, and at A > pi/2 the same plane test goes on working;
 - an axis along the normal has no up direction; no frame is needed here.
 
-All of it happens in light space (``space.py``), where a plane is linear in the direction and the depth t, so t takes
-the place of ray lengths: the paper's Lmax is the least t of a node, Lmin the largest. Light space is stretched for far
-lights; its cones are elliptic in the world then and the tests stay valid, as they are linear.
+All of it happens in light space (``light_space.py``), where a plane is linear in the direction and the depth t, so t
+takes the place of ray lengths: the paper's Lmax is the least t of a node, Lmin the largest. Light space is stretched
+for far lights; its cones are elliptic in the world then and the tests stay valid, as they are linear.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, edge_pad, magnitude_bound, plane_of, plane_pad
+from shadow_tracer.gpu.light_space import LightSpace, edge_pad, magnitude_bound, plane_of, plane_pad
 
 REJECTED = wp.constant(0)
 COVERED = wp.constant(1)

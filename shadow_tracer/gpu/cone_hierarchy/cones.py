@@ -2,8 +2,8 @@
 """Cones around rays: the implicit four-way tree of the paper's variants, in light space.
 
 A node bounds its rays by a cone of directions e = h/|h| (axis and half-angle A, up to pi) and a range of depths t
-(``space.py``). It is made from its four children, from the bottom up. The shape of the tree depends on the frame's
-size only:
+(``light_space.py``). It is made from its four children, from the bottom up. The shape of the tree depends on the
+frame's size only:
 
 - *sorted*: left-balanced over a list, four consecutive rays, then four consecutive nodes (section 3.5 of the paper);
 - *unsorted*: 2 x 2 blocks of pixels, then of nodes, like a mip pyramid (section 3.1). Where a level is one pixel wide
@@ -25,8 +25,8 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer.gpu.buffers import upload
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, ray_depth
 from shadow_tracer.gpu.light_frame import SHADOWED
+from shadow_tracer.gpu.light_space import LightSpace, ray_depth
 from shadow_tracer.gpu.triangles import Context
 
 # A normalised direction is off by at most 3 u of its own direction and 3 u in length; merging compares two of them.

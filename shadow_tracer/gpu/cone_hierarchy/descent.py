@@ -4,7 +4,7 @@
 A node is rejected when one of the triangle's four planes has all of its box on the wrong side, when the box lies beside
 the triangle's own bounds on a cube face, or when even its least depth is beyond the triangle's largest (nothing of the
 triangle is nearer to the light). It is accepted whole when all four planes have all of it on the right side. The pads
-are derived in ``space.py``. What is left in the leaves goes through the filter of ``shadow_test.py``.
+are derived in ``light_space.py``. What is left in the leaves goes through the filter of ``shadow_test.py``.
 
 Nodes without live rays are done: their boxes fail every test. When the last live ray of a leaf, or the last live child
 of a node, is done, so is the leaf or the node: a wall of many triangles ends the search under it as one triangle would.
@@ -22,11 +22,12 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import PASSES
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
-from shadow_tracer.gpu.cone_hierarchy.rays import Answers
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, space_of
-from shadow_tracer.gpu.cone_hierarchy.triangle_planes import TRIANGLE, Occluders
+from shadow_tracer.gpu.cone_hierarchy.cells import CELLS
 from shadow_tracer.gpu.light_frame import SHADOWED, LightFrame
+from shadow_tracer.gpu.light_space import LightSpace, space_of
+from shadow_tracer.gpu.participants import Answers
 from shadow_tracer.gpu.shadow_test import FILTER
+from shadow_tracer.gpu.triangle_planes import TRIANGLE, Occluders
 
 # Leaves per run that one thread walks, and leaves per chunk of a larger triangle: 4^3.
 SMALL_RUN = wp.constant(64)
@@ -38,6 +39,7 @@ WHOLE = wp.constant(2)
 
 _THREAD = (
     TRIANGLE
+    + CELLS
     + FILTER
     + r"""
     wp::int64 nodes = 0, tests = 0, accepted = 0;

@@ -8,15 +8,17 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import PASSES
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
-from shadow_tracer.gpu.cone_hierarchy.rays import Answers
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, space_of
-from shadow_tracer.gpu.cone_hierarchy.triangle_planes import TRIANGLE, Occluders
+from shadow_tracer.gpu.cone_hierarchy.cells import CELLS
 from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.light_space import LightSpace, space_of
+from shadow_tracer.gpu.participants import Answers
 from shadow_tracer.gpu.shadow_test import FILTER_SIXTEEN
+from shadow_tracer.gpu.triangle_planes import TRIANGLE, Occluders
 
 # Sixteen lanes. `boxes16` answers for the 16 boxes of a group with two bit masks.
 _WIDE = (
     TRIANGLE
+    + CELLS
     + FILTER_SIXTEEN
     + r"""
     auto largest = [](Sixteen x, Sixteen y) -> Sixteen { return x > y ? x : y; };

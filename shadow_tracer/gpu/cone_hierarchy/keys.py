@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.cone_hierarchy.rays import IN_TREE, Participants
 from shadow_tracer.gpu.light_frame import SHADOWED
+from shadow_tracer.gpu.light_space import FACES, face_axes, face_of
+from shadow_tracer.gpu.participants import IN_TREE, Participants
 from shadow_tracer.gpu.sort import KeySort
 from shadow_tracer.gpu.triangles import Context
 
-FACES = wp.constant(6)
 _STRIPES = wp.constant(64)
 CURVE_BITS = 14
 KEY_BITS = 3 + 2 * CURVE_BITS
@@ -26,30 +26,6 @@ CELLS = 2.0**CURVE_BITS
 # the lookup table needs 2^16 (``boxes.py``).
 _SORTED_BITS = (11, KEY_BITS)
 LAST_KEY = wp.constant(2**31 - 1)
-
-
-@wp.func
-def face_of(ray: wp.vec4) -> int:
-    """Cube face of a direction: 0 to 5 for +U, -U, +V, -V, +W, -W."""
-    x = wp.abs(ray[0])
-    y = wp.abs(ray[1])
-    z = wp.abs(ray[2])
-    if x >= y and x >= z:
-        return wp.where(ray[0] < 0.0, 1, 0)
-    if y >= z:
-        return wp.where(ray[1] < 0.0, 3, 2)
-    return wp.where(ray[2] < 0.0, 5, 4)
-
-
-@wp.func
-def face_axes(face: int, ray: wp.vec4) -> wp.vec3:
-    """(major, first, second) of ray on ``face``: its size along the face's axis and the other two components."""
-    sign = wp.where((face & 1) != 0, -1.0, 1.0)
-    if face < 2:
-        return wp.vec3(sign * ray[0], ray[1], ray[2])
-    if face < 4:
-        return wp.vec3(sign * ray[1], ray[2], ray[0])
-    return wp.vec3(sign * ray[2], ray[0], ray[1])
 
 
 @wp.func

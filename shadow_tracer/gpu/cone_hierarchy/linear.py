@@ -8,11 +8,11 @@ import warp as wp
 from shadow_tracer.gpu.buffers import Change
 from shadow_tracer.gpu.cone_hierarchy import descent, descent_wide
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTreeBuffers
-from shadow_tracer.gpu.cone_hierarchy.corners import Corners
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
-from shadow_tracer.gpu.cone_hierarchy.rays import Participants
-from shadow_tracer.gpu.cone_hierarchy.triangle_planes import Occluders
+from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.participants import Participants
+from shadow_tracer.gpu.triangle_planes import Occluders
 from shadow_tracer.gpu.triangles import Context
 
 # Threads that share the large triangles.

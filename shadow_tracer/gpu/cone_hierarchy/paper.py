@@ -31,12 +31,12 @@ import warp as wp
 from shadow_tracer.gpu.buffers import Change
 from shadow_tracer.gpu.cone_hierarchy.breadth_first import BreadthFirst, Triangles
 from shadow_tracer.gpu.cone_hierarchy.cones import ConeTree, Leaves
-from shadow_tracer.gpu.cone_hierarchy.corners import Corners
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
 from shadow_tracer.gpu.cone_hierarchy.occluders import LargeOccluders
-from shadow_tracer.gpu.cone_hierarchy.rays import Participants
-from shadow_tracer.gpu.cone_hierarchy.space import make_light_space
+from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.light_space import make_light_space
+from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.triangles import Context
 
 

@@ -17,10 +17,10 @@ from shadow_tracer import Bounds, ShadowTracer
 from shadow_tracer.gpu.cone_hierarchy import descent
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTree
 from shadow_tracer.gpu.cone_hierarchy.keys import face_of
-from shadow_tracer.gpu.cone_hierarchy.rays import Answers
-from shadow_tracer.gpu.cone_hierarchy.space import LightSpace, make_light_space
-from shadow_tracer.gpu.cone_hierarchy.triangle_planes import Occluders
 from shadow_tracer.gpu.light_frame import make_light_frame
+from shadow_tracer.gpu.light_space import LightSpace, make_light_space
+from shadow_tracer.gpu.participants import Answers
+from shadow_tracer.gpu.triangle_planes import Occluders
 
 _ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
 

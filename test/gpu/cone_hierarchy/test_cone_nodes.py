@@ -16,10 +16,10 @@ from shadow_tracer import Bounds, Scene
 from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
 from shadow_tracer.gpu.cone_hierarchy import cone_test, cones
 from shadow_tracer.gpu.cone_hierarchy.breadth_first import Triangles, see
-from shadow_tracer.gpu.cone_hierarchy.corners import Corners
-from shadow_tracer.gpu.cone_hierarchy.rays import Participants
-from shadow_tracer.gpu.cone_hierarchy.space import make_light_space
+from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.light_frame import make_anchor, make_light_frame
+from shadow_tracer.gpu.light_space import make_light_space
+from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.projection import project
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangles import Context, TriangleRecords

@@ -28,6 +28,8 @@ import warp as wp
 
 from shadow_tracer.gpu.light_frame import LightFrame
 
+FACES = wp.constant(6)
+
 
 @wp.struct
 class LightSpace:
@@ -99,3 +101,27 @@ def is_wild(ray: wp.vec4) -> bool:
     size = wp.max(wp.max(wp.abs(ray[0]), wp.abs(ray[1])), wp.abs(ray[2]))
     sum = wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[2]) + wp.abs(ray[3]) + 1.0
     return not (sum <= 4194304.0 * size and sum < 1.0e30)
+
+
+@wp.func
+def face_of(ray: wp.vec4) -> int:
+    """Cube face of a direction: 0 to 5 for +U, -U, +V, -V, +W, -W."""
+    x = wp.abs(ray[0])
+    y = wp.abs(ray[1])
+    z = wp.abs(ray[2])
+    if x >= y and x >= z:
+        return wp.where(ray[0] < 0.0, 1, 0)
+    if y >= z:
+        return wp.where(ray[1] < 0.0, 3, 2)
+    return wp.where(ray[2] < 0.0, 5, 4)
+
+
+@wp.func
+def face_axes(face: int, ray: wp.vec4) -> wp.vec3:
+    """(major, first, second) of ray on ``face``: its size along the face's axis and the other two components."""
+    sign = wp.where((face & 1) != 0, -1.0, 1.0)
+    if face < 2:
+        return wp.vec3(sign * ray[0], ray[1], ray[2])
+    if face < 4:
+        return wp.vec3(sign * ray[1], ray[2], ray[0])
+    return wp.vec3(sign * ray[2], ray[0], ray[1])

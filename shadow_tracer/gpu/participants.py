@@ -9,7 +9,8 @@ and fewer rays are admitted next time, down to a single one; if even that one ha
 it is tested alone against one triangle after the other, and goes on where it stopped. So every pass makes progress, at
 any capacity.
 
-Rays that do not fit into light space (``space.is_wild``) are kept out of the tree and tested against every triangle.
+Rays that do not fit into light space (``light_space.is_wild``) are kept out of the tree and tested against every
+triangle.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.buffers import LEAF_TESTS
-from shadow_tracer.gpu.cone_hierarchy.space import is_wild
 from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
+from shadow_tracer.gpu.light_space import is_wild
 from shadow_tracer.gpu.shadow_test import (
     NO,
     YES,
