@@ -20,7 +20,8 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import EXACT, LEAF_TESTS, RETESTED, Change
 from shadow_tracer.gpu.exact import determinant_sign
-from shadow_tracer.gpu.light_frame import PENDING, SHADOWED, LightFrame
+from shadow_tracer.gpu.light_frame import PENDING, SHADOWED
+from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.shadow_test import (
     FILTER_BLOCK,
     MAGNITUDE_FLOOR,
@@ -52,7 +53,7 @@ def test_all_filtered(
     queued = int(0)
     if attempt == 2:
         queued = resume[i]
-    found = test_everything(i, ray, ray_magnitude(ray), queued, triangle_count, records, queue, queue_count)
+    found = test_everything(i, ray, ray_magnitude(ray), queued, 0, triangle_count, records, queue, queue_count)
     if found[0] == PENDING:
         resume[i] = found[1]
     states[i] = wp.uint8(found[0])
@@ -203,6 +204,7 @@ class BruteForce:
     """The ``brute_force`` pipeline."""
 
     recordable = False
+    lights_together = 1
 
     def __init__(self, variant: str, context: Context) -> None:
         self._variant = variant
@@ -211,8 +213,9 @@ class BruteForce:
     def update(self, change: Change) -> None:
         """Nothing is kept between frames."""
 
-    def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
+    def trace(self, work: Pass) -> None:
         """Test every ray of the light against every triangle."""
+        frame, light, attempt = work.light, work.first, work.attempt
         buffers, scene, stages = self._context.frame, self._context.scene, self._context.stages
         with stages.stage("setup"):
             self._context.records.prepare(frame)  # for float64 only to count the degenerate triangles
@@ -229,7 +232,7 @@ class BruteForce:
                         scene.vertices,
                         scene.triangles,
                         buffers.rays,
-                        buffers.states[light],
+                        buffers.states_of(light),
                         buffers.counters,
                     ],
                     device=buffers.device,
@@ -237,11 +240,11 @@ class BruteForce:
             return
         arrays = [
             buffers.rays,
-            buffers.records,
+            self._context.records.of(light),
             buffers.queue,
             buffers.queue_count_of[light],
             buffers.resume,
-            buffers.states[light],
+            buffers.states_of(light),
             buffers.counters,
         ]
         with stages.stage("trace"):

@@ -73,6 +73,22 @@ class HostValues:
             wp.copy(self.array, self.staging, count=len(values))
 
 
+class Slices:
+    """Parts of arrays, kept: making one takes as long as a launch."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[int, int, int], wp.array] = {}
+
+    def __call__(self, array: wp.array, first: int, count: int) -> wp.array:
+        """Elements ``first`` to ``first + count`` of an array that lives as long as this object."""
+        key = (int(array.ptr or 0), first, count)
+        if key not in self._made:
+            if len(self._made) > 1000:
+                self._made.clear()
+            self._made[key] = array[first : first + count]
+        return self._made[key]
+
+
 class FrameBuffers:
     """Everything a frame needs on the device: samples, rays, states, queue, triangle records, counters."""
 
@@ -89,17 +105,36 @@ class FrameBuffers:
         self._light_frames = HostValues(LightFrame, bounds.max_lights, device)
         self.pinhole = self._pinhole.array
         self.light_frame_of = [self._light_frames.array[k : k + 1] for k in range(bounds.max_lights)]
-        self.states = [wp.empty(rays, dtype=wp.uint8, device=device) for _ in range(bounds.max_lights)]
+        self._lights_from = [self._light_frames.array[k:] for k in range(bounds.max_lights)]
+        self.states = wp.empty(rays * bounds.max_lights, dtype=wp.uint8, device=device)  # light after light
         self.records = wp.empty((bounds.max_triangles, 4), dtype=wp.vec4, device=device)
         self.queue = wp.empty(bounds.queue_capacity, dtype=wp.vec2i, device=device)
         self.queue_counts = wp.zeros(bounds.max_lights, dtype=int, device=device)
         self.queue_count_of = [self.queue_counts[k : k + 1] for k in range(bounds.max_lights)]
+        self.parts = wp.zeros(bounds.max_lights, dtype=int, device=device)  # see Pass.part, by first light
+        self.parts_of = [self.parts[k : k + 1] for k in range(bounds.max_lights)]
         self.resume = wp.empty(rays, dtype=int, device=device)
         self.deferred = wp.zeros(1, dtype=int, device=device)  # whether a pass left rays for the next one
         self.counters = wp.zeros((_ROWS, len(COUNTERS)), dtype=wp.int64, device=device)
-        self.degenerate = wp.zeros(_ROWS, dtype=int, device=device)
         self.count = 0  # samples of the current frame
         self.width = 0  # of the image they come from; 0 if they are a list of points
+        self._slices = Slices()
+
+    def set_samples(self, count: int, width: int) -> None:
+        """Tell how many samples this frame has, and the width of the image they come from (0: a list of points)."""
+        self.count, self.width = count, width
+
+    def lights_from(self, light: int) -> wp.array:
+        """Frames of the lights from number ``light`` on."""
+        return self._lights_from[light]
+
+    def states_of(self, light: int, lights: int = 1) -> wp.array:
+        """States of all samples for ``lights`` lights from number ``light`` on, light after light."""
+        return self._slices(self.states, light * self.count, lights * self.count)
+
+    def rays_of(self, place: int) -> wp.array:
+        """Rays of the light at ``place`` in its pass."""
+        return self._slices(self.rays, place * self.count, self.count)
 
     def set_camera(self, pinhole: Pinhole) -> None:
         """Tell kernels the camera of this frame."""
@@ -118,8 +153,7 @@ class FrameBuffers:
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
-        arrays = [a for a in vars(self).values() if isinstance(a, wp.array)]
-        return sum(a.capacity for a in arrays) + sum(a.capacity for a in self.states)
+        return sum(a.capacity for a in vars(self).values() if isinstance(a, wp.array))
 
 
 @wp.kernel(enable_backward=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.buffers import Slices
 from shadow_tracer.gpu.light_frame import LightFrame, frame_coordinates
 from shadow_tracer.gpu.triangles import Context
 
@@ -62,23 +63,30 @@ def project_vertex_blocks(
 
 
 class Corners:
-    """``vertices``: (U, V, W, Z) of the scene's vertices for one light."""
+    """(U, V, W, Z) of the scene's vertices for as many lights as there are triangle records of."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
         capacity = 3 * context.frame.bounds.max_triangles
-        self.vertices = wp.empty(capacity, dtype=wp.vec4, device=context.frame.device)
+        self._vertices = wp.empty(capacity, dtype=wp.vec4, device=context.frame.device)
+        self._slices = Slices()
+
+    def of(self, light: int, lights: int = 1) -> wp.array:
+        """Vertices for ``lights`` lights from number ``light`` on, light after light."""
+        count = self._context.scene.vertex_count
+        return self._slices(self._vertices, self._context.records.place(light) * count, lights * count)
 
     def make(self, frame: LightFrame) -> None:
         """Make them for the light of ``frame``; to be done whenever its triangle records are made."""
         buffers, scene = self._context.frame, self._context.scene
         device, count, light = buffers.device, scene.vertex_count, buffers.light_frame_of[frame.number]
+        out = self.of(frame.number)
         if device.is_cpu:
-            inputs = [light, count, scene.vertices, self.vertices]
+            inputs = [light, count, scene.vertices, out]
             wp.launch(project_vertex_blocks, dim=-(-count // _BLOCK), inputs=inputs, device=device)
         else:
-            wp.launch(project_vertices, dim=count, inputs=[light, scene.vertices, self.vertices], device=device)
+            wp.launch(project_vertices, dim=count, inputs=[light, scene.vertices, out], device=device)
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return int(self.vertices.capacity)
+        return int(self._vertices.capacity)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from shadow_tracer.gpu import light_frame, projection, shadow_test, unproject
 from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
 from shadow_tracer.gpu.graphs import FrameGraphs
 from shadow_tracer.gpu.light_frame import Anchor, make_anchor, make_light_frame
+from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.pinhole import make_pinhole
 from shadow_tracer.gpu.pipelines import Pipeline, make_pipeline
 from shadow_tracer.gpu.stages import Stages
@@ -85,8 +86,7 @@ class Engine:
         with self.stages.stage("upload"):
             change = self._scene.sync(scene)
             upload(target, depth.reshape(-1))
-        frame.count = depth.size
-        frame.width = camera.width
+        frame.set_samples(depth.size, camera.width)
         self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
         frame.set_camera(make_pinhole(camera, bias))
         self._pipeline.update(change)
@@ -103,8 +103,7 @@ class Engine:
             samples[:, 3] = bias
             upload(frame.samples, samples)
             upload(frame.valid, np.ones(len(points), dtype=np.uint8))
-        frame.count = len(points)
-        frame.width = 0
+        frame.set_samples(len(points), 0)
         low, high = points.min(axis=0), points.max(axis=0)
         center = 0.5 * low + 0.5 * high
         self._anchor = make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), self._anchor)
@@ -116,83 +115,113 @@ class Engine:
         assert self._anchor is not None
         light_frames = [make_light_frame(light, self._anchor, index) for index, light in enumerate(lights)]
         frame.set_lights(light_frames)
-        stale = self._context.records.plan(light_frames)
+        passes = self._passes(light_frames)
+        stale = self._context.records.plan(light_frames, len(passes[0].lights))
         if self._use_graphs and self._pipeline.recordable:
             source = None if depth is None else depth.dtype.__name__
             triangles, vertices = self._scene.triangle_count, self._scene.vertex_count
             key = (source, frame.count, frame.width, triangles, vertices, self.front_face_culling, stale)
             with self.stages.stage("graph"), self.stages.paused():
-                self._graphs.run(key, lambda: self._launch(light_frames, depth))
+                self._graphs.run(key, lambda: self._launch(passes, depth))
         else:
-            self._launch(light_frames, depth)
-        passes = self._finish_overflow(light_frames)
+            self._launch(passes, depth)
+        further = self._finish_overflow(passes)
         with self.stages.stage("download"):
-            states = np.stack([state[: frame.count].numpy() for state in frame.states[: len(lights)]])
+            states = frame.states_of(0, len(lights)).numpy().reshape(len(lights), frame.count).copy()
             counters = frame.read_counters()
         counters["triangles"] = self._scene.triangle_count
-        counters["degenerate"] = int(frame.degenerate.numpy().sum()) if self._scene.triangle_count else 0
-        counters["culled"] = self._context.records.culled if self._scene.triangle_count else 0
-        counters["overflow_passes"] = passes
+        counters["degenerate"], counters["culled"] = self._context.records.silent(len(lights) - 1)
+        counters["overflow_passes"] = further
         self._pipeline.learn(counters)
         return Traced(states, self.stages.read(), counters)
 
-    def _launch(self, light_frames: Sequence[light_frame.LightFrame], depth: wp.array | None) -> None:
+    def _passes(self, light_frames: Sequence[light_frame.LightFrame]) -> list[Pass]:
+        """As many lights together as the pipeline takes and as there is room for."""
+        together = min(
+            self._pipeline.lights_together,
+            len(light_frames),
+            self.bounds.max_rays // max(self._frame.count, 1),
+            self._context.records.room(),
+        )
+        return [Pass(tuple(light_frames[first : first + together])) for first in range(0, len(light_frames), together)]
+
+    def _launch(self, passes: Sequence[Pass], depth: wp.array | None) -> None:
         """Everything of a frame between upload and download, further passes aside."""
         frame = self._frame
         frame.counters.zero_()
         frame.queue_counts.zero_()
+        frame.parts.zero_()
         if depth is not None:
             with self.stages.stage("unproject"):
                 unproject.unproject_image(depth, frame)
-        for light in light_frames:
-            with self.stages.stage("project"):
-                projection.project(frame, light.number, 0)
-            self._attempt(light, light.number, 0)
+        for work in passes:
+            self._project(work, 0)
+            self._attempt(work)
 
-    def _attempt(self, light: light_frame.LightFrame, index: int, attempt: int) -> None:
+    def _project(self, work: Pass, again: int) -> None:
+        with self.stages.stage("project"):
+            for place, light in enumerate(work.lights):
+                projection.project(self._frame, light.number, place, again)
+
+    def _attempt(self, work: Pass) -> None:
         if self._scene.triangle_count == 0:
             return
         frame = self._frame
-        self._pipeline.trace(light, index, attempt)
+        self._pipeline.trace(work)
         threads = 1 if self.device.is_cpu else min(_RESOLVERS_CUDA, self.bounds.queue_capacity)
         with self.stages.stage("resolve"):
             wp.launch(
                 shadow_test.resolve_queue,
                 dim=threads,
                 inputs=[
-                    frame.light_frame_of[index],
+                    frame.lights_from(work.first),
+                    frame.count,
                     threads,
                     frame.queue,
-                    frame.queue_count_of[index],
+                    frame.queue_count_of[work.first],
                     frame.samples,
                     self._scene.vertices,
                     self._scene.triangles,
-                    frame.states[index],
+                    frame.states_of(work.first, len(work.lights)),
                     frame.counters,
                 ],
                 device=self.device,
             )
 
-    def _finish_overflow(self, light_frames: Sequence[light_frame.LightFrame]) -> int:
-        """Further passes for lights whose queue overflowed. Only here the host waits for the device before the
-        result."""
-        frame, passes = self._frame, 0
-        counts = frame.queue_counts.numpy()[: len(light_frames)].copy()
-        for index in np.flatnonzero(counts > self.bounds.queue_capacity):
-            light = light_frames[index]
-            self._context.records.plan([light])
-            with self.stages.stage("project"):
-                projection.project(frame, int(index), 1)
-            attempt, overflowed = 1, True
-            while overflowed:
-                frame.queue_count_of[index].zero_()
-                frame.deferred.zero_()
-                self._attempt(light, int(index), attempt)
-                queued = int(frame.queue_count_of[index].numpy()[0])
-                overflowed = queued > self.bounds.queue_capacity or bool(frame.deferred.numpy()[0])
-                attempt = 2
-                passes += 1
-        return passes
+    def _finish_overflow(self, passes: Sequence[Pass]) -> int:
+        """Further passes for lights whose queue overflowed, or whose pipeline had more work than its lists hold. Only
+        here the host waits for the device before the result."""
+        further = 0
+        queued, parts = self._frame.queue_counts.numpy().copy(), self._frame.parts.numpy().copy()
+        for work in passes:
+            in_parts = parts[work.first] > 1
+            if not in_parts and queued[work.first] <= self.bounds.queue_capacity:
+                continue
+            # The rays of another pass lie where those of this one lay. All of them again if some have not been shown
+            # all triangles, else those that wait.
+            self._context.records.plan(work.lights, len(passes[0].lights))
+            attempt = 0 if in_parts else 1
+            self._project(work, attempt)
+            unfinished = True
+            while unfinished:
+                unfinished, done = self._all_parts(work, attempt)
+                attempt = min(attempt + 1, 2)
+                further += done
+        return further
+
+    def _all_parts(self, work: Pass, attempt: int) -> tuple[bool, int]:
+        """An attempt, in as many parts as it takes; returns whether rays are left over, and the number of parts."""
+        frame = self._frame
+        frame.parts_of[work.first].zero_()
+        frame.deferred.zero_()
+        overflowed, part, parts = False, 0, 1
+        while part < parts:
+            frame.queue_count_of[work.first].zero_()
+            self._attempt(replace(work, attempt=attempt, part=part))
+            overflowed |= int(frame.queue_count_of[work.first].numpy()[0]) > self.bounds.queue_capacity
+            parts = int(frame.parts_of[work.first].numpy()[0])
+            part += 1
+        return overflowed or bool(frame.deferred.numpy()[0]), part
 
 
 def _depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:

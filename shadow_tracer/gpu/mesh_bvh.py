@@ -25,7 +25,8 @@ import warp as wp
 
 from shadow_tracer.gpu.binary_tree import FOUND, search
 from shadow_tracer.gpu.buffers import LEAF_TESTS, NODES_VISITED, Change
-from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED, LightFrame, towards_light
+from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED, towards_light
+from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.shadow_test import YES, enqueue, filter_pair, is_ray, ray_magnitude, test_everything
 from shadow_tracer.gpu.triangles import Context
 from shadow_tracer.gpu.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse, search_wide
@@ -154,7 +155,7 @@ def walk_ray(
             nodes += found[2]
             more = False
             if found[0] < 0:
-                all = test_everything(sample, ray, magnitude, queued, triangle_count, records, queue, queue_count)
+                all = test_everything(sample, ray, magnitude, queued, 0, triangle_count, records, queue, queue_count)
                 return Outcome(all[0], all[1], tests + all[2], nodes, -1)
             if found[0] > 0:
                 result = SHADOWED
@@ -202,7 +203,7 @@ def walk(
     hint = occluders[wp.max(i - 1, 0)]
     start = (p - tree.box.center) * tree.box.inverse_extent
     if wp.max(wp.max(wp.abs(start[0]), wp.abs(start[1])), wp.abs(start[2])) > wp.float64(_FAR):
-        all = test_everything(i, ray, magnitude, queued, triangle_count, records, queue, queue_count)
+        all = test_everything(i, ray, magnitude, queued, 0, triangle_count, records, queue, queue_count)
         found = Outcome(all[0], all[1], all[2], 0, -1)
     elif hint < triangle_count and filter_pair(ray, magnitude, records, hint) == YES:
         found = Outcome(SHADOWED, queued, 1, 0, hint)
@@ -223,6 +224,7 @@ class MeshBvh:
     """The ``mesh_bvh`` pipeline."""
 
     recordable = False
+    lights_together = 1
 
     def __init__(self, variant: str, context: Context) -> None:
         self._variant = variant
@@ -287,8 +289,9 @@ class MeshBvh:
             self._fresh_tests = None
             self._worn_out = False
 
-    def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
+    def trace(self, work: Pass) -> None:
         """Walk every ray of the light through the tree."""
+        frame, light, attempt = work.light, work.first, work.attempt
         if self._bvh is None:
             return
         buffers, stages = self._context.frame, self._context.stages
@@ -305,12 +308,12 @@ class MeshBvh:
                     frame.light,
                     buffers.samples,
                     buffers.rays,
-                    buffers.records,
+                    self._context.records.of(light),
                     buffers.queue,
                     buffers.queue_count_of[light],
                     buffers.resume,
                     self._occluders,
-                    buffers.states[light],
+                    buffers.states_of(light),
                     buffers.counters,
                 ],
                 device=buffers.device,

@@ -20,6 +20,7 @@ import warp as wp
 from shadow_tracer.gpu.buffers import LEAF_TESTS
 from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
 from shadow_tracer.gpu.light_space import is_wild
+from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.shadow_test import (
     NO,
     YES,
@@ -42,8 +43,9 @@ _BLOCK = wp.constant(256)
 
 @wp.struct
 class Answers:
-    """Where the answers about rays go."""
+    """Where the answers about the rays of a pass go."""
 
+    samples: int  # per light
     states: wp.array(dtype=wp.uint8)
     resume: wp.array(dtype=int)  # uncertain pairs of a ray in this pass
     queue: wp.array(dtype=wp.vec2i)
@@ -204,8 +206,9 @@ def test_alone(
     if alone[1] == i:
         queued = alone[2]
     ray = rays[i]
+    first = i // answers.samples * triangle_count
     found = test_everything(
-        i, ray, ray_magnitude(ray), queued, triangle_count, records, answers.queue, answers.queue_count
+        i, ray, ray_magnitude(ray), queued, first, triangle_count, records, answers.queue, answers.queue_count
     )
     answers.states[i] = wp.uint8(found[0])
     alone[1] = i
@@ -230,9 +233,10 @@ def test_wild(
         i = wild[k]
         ray = rays[i]
         magnitude = ray_magnitude(ray)
+        first = i // answers.samples * triangle_count
         t = thread
         while t < triangle_count and answers.states[i] != wp.uint8(SHADOWED):
-            answer = filter_pair(ray, magnitude, records, t)
+            answer = filter_pair(ray, magnitude, records, first + t)
             tests += 1
             if answer != NO:
                 settle(i, t, answer, answers)
@@ -244,7 +248,7 @@ def test_wild(
 class Participants:
     """The rays of the current pass.
 
-    ``group`` (uint8 per sample) is ABSENT, IN_TREE or WILD. ``counts`` (int32 on the device): [0] is free for the tree
+    ``group`` (uint8 per ray) is ABSENT, IN_TREE or WILD. ``counts`` (int32 on the device): [0] is free for the tree
     to count its rays in, [1] is the number of wild rays.
     """
 
@@ -258,21 +262,23 @@ class Participants:
         self._alone = wp.empty(3, dtype=int, device=device)
         self._alone_now = self._alone[0:1]
 
-    def answers(self, light: int) -> Answers:
-        """Where the answers for light number ``light`` go."""
-        frame = self._context.frame
+    def answers(self, work: Pass) -> Answers:
+        """Where the answers of a pass go."""
+        frame, light = self._context.frame, work.first
         answers = Answers()
-        answers.states = frame.states[light]
+        answers.samples = frame.count
+        answers.states = frame.states_of(light, len(work.lights))
         answers.resume = frame.resume
         answers.queue = frame.queue
         answers.queue_count = frame.queue_count_of[light]
         answers.counters = frame.counters
         return answers
 
-    def choose(self, light: int, attempt: int) -> None:
-        """Decide which rays of light number ``light`` take part; ``attempt`` as in ``brute_force.py``."""
-        frame = self._context.frame
-        device, count, states = frame.device, frame.count, frame.states[light]
+    def choose(self, work: Pass) -> None:
+        """Decide which rays take part."""
+        frame, attempt = self._context.frame, work.attempt
+        device, count = frame.device, len(work.lights) * frame.count
+        states = frame.states_of(work.first, len(work.lights))
         self.counts.zero_()
         if attempt == 0:
             inputs = [frame.rays, states, frame.resume, self.group, self._wild, self.counts]
@@ -304,15 +310,15 @@ class Participants:
             device=device,
         )
 
-    def finish(self, light: int, attempt: int) -> None:
-        """Test the rays that are not in the tree."""
+    def finish(self, work: Pass) -> None:
+        """Test the rays that are not in the tree. Once in an attempt, whatever its parts."""
         frame, scene = self._context.frame, self._context.scene
-        answers = self.answers(light)
+        answers, records = self.answers(work), self._context.records.of(work.first, len(work.lights))
         threads = 1 if frame.device.is_cpu else _WILD_THREADS_CUDA
-        inputs = [threads, scene.triangle_count, frame.rays, frame.records, self._wild, self.counts, answers]
+        inputs = [threads, scene.triangle_count, frame.rays, records, self._wild, self.counts, answers]
         wp.launch(test_wild, dim=threads, inputs=inputs, device=frame.device)
-        if attempt > 0:
-            inputs = [scene.triangle_count, frame.rays, frame.records, answers, self._alone]
+        if work.attempt > 0:
+            inputs = [scene.triangle_count, frame.rays, records, answers, self._alone]
             wp.launch(test_alone, dim=1, inputs=inputs, device=frame.device)
 
     def nbytes(self) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from shadow_tracer.gpu.buffers import Change
-    from shadow_tracer.gpu.light_frame import LightFrame
+    from shadow_tracer.gpu.passes import Pass
     from shadow_tracer.gpu.triangles import Context
 
 
@@ -26,9 +26,12 @@ class Pipeline(Protocol):
     def update(self, change: Change) -> None:
         """Take note of the scene's new state in the buffers; called once per frame before any light."""
 
-    def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
-        """Look for an occluder of every ray of light number ``light``; see ``brute_force.py`` for the meaning of
-        ``attempt``."""
+    @property
+    def lights_together(self) -> int:
+        """The most lights of a pass."""
+
+    def trace(self, work: Pass) -> None:
+        """Look for an occluder of every ray of the pass."""
 
     def learn(self, counters: dict[str, int]) -> None:
         """Told the counters of the frame that just ended; a pipeline may adapt how, never what, it answers."""

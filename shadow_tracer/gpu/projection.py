@@ -166,15 +166,16 @@ def project_blocks(
     project_block(wp.tid() * _BLOCK, count, light[0], again, RAYS, samples, valid, rays, states, counters)
 
 
-def project(buffers: FrameBuffers, light: int, again: int) -> None:
-    """Rays of all samples and, unless ``again``, their states for light number ``light``."""
+def project(buffers: FrameBuffers, light: int, place: int, again: int) -> None:
+    """Rays of all samples and, unless ``again``, their states for light number ``light``, the one at ``place`` in its
+    pass."""
     inputs = [
         buffers.light_frame_of[light],
         again,
         buffers.samples,
         buffers.valid,
-        buffers.rays,
-        buffers.states[light],
+        buffers.rays_of(place),
+        buffers.states_of(light),
         buffers.counters,
     ]
     if buffers.device.is_cpu:

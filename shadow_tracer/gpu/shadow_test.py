@@ -205,16 +205,17 @@ def test_everything(
     ray: wp.vec4,
     magnitude: float,
     queued: int,
+    first: int,
     triangle_count: int,
     records: wp.array2d(dtype=wp.vec4),
     queue: wp.array(dtype=wp.vec2i),
     queue_count: wp.array(dtype=int),
 ) -> wp.vec3i:
-    """One ray against all triangles: (state, pairs queued so far, tests); its first ``queued`` uncertain pairs are
-    skipped, they have been on the queue before."""
+    """One ray against all triangles, whose records begin at ``first``: (state, pairs queued so far, tests); its first
+    ``queued`` uncertain pairs are skipped, they have been on the queue before."""
     uncertain = int(0)
     for t in range(triangle_count):
-        answer = filter_pair(ray, magnitude, records, t)
+        answer = filter_pair(ray, magnitude, records, first + t)
         if answer == YES:
             return wp.vec3i(SHADOWED, queued, t + 1)
         if answer == MAYBE:
@@ -229,6 +230,7 @@ def test_everything(
 @wp.kernel(enable_backward=False)
 def resolve_queue(
     lights: wp.array(dtype=LightFrame),
+    count_of_samples: int,
     stride: int,
     queue: wp.array(dtype=wp.vec2i),
     queue_count: wp.array(dtype=int),
@@ -238,9 +240,8 @@ def resolve_queue(
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
-    """Decide every queued pair. Shadowing is idempotent, so pairs of one sample may be decided in any order."""
+    """Decide every queued pair of a pass. Shadowing is idempotent, so pairs of one ray may be decided in any order."""
     thread = wp.tid()
-    light = lights[0].light
     count = wp.min(queue_count[0], queue.shape[0])
     if thread == 0:
         wp.atomic_max(counters, 0, PEAK_QUEUE, wp.int64(count))
@@ -249,12 +250,14 @@ def resolve_queue(
     for k in range(thread, count, stride):
         pair = queue[k]
         if states[pair[0]] != wp.uint8(SHADOWED):
+            place = pair[0] // count_of_samples
+            sample = pair[0] - place * count_of_samples
             t = pair[1]
             corners = triangles[t]
             a = vertices[corners[0]]
             b = vertices[corners[1]]
             c = vertices[corners[2]]
-            answer = decide(samples[pair[0]], light, a, b, c)
+            answer = decide(samples[sample], lights[place].light, a, b, c)
             decided += 1
             exact += answer >> 1
             if (answer & 1) != 0:

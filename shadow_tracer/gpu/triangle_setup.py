@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers
+from shadow_tracer.gpu.buffers import SceneBuffers
 from shadow_tracer.gpu.exact import DETERMINANT, determinant_sign
 from shadow_tracer.gpu.light_frame import LightFrame, frame_coordinates
 
@@ -307,25 +307,32 @@ def prepare_blocks(
     )
 
 
-def prepare(light: int, scene: SceneBuffers, buffers: FrameBuffers, front_face_culling: bool, culled: wp.array) -> None:
-    """Make the records of all triangles of the scene for light number ``light``; ``buffers.degenerate`` and
+def prepare(
+    light: wp.array,
+    scene: SceneBuffers,
+    records: wp.array,
+    front_face_culling: bool,
+    degenerate: wp.array,
+    culled: wp.array,
+) -> None:
+    """Make the records of all triangles of the scene for a light (one LightFrame on the device); ``degenerate`` and
     ``culled``, 64 integers each, sum up to the number of triangles that cast nothing for the one or the other
     reason."""
-    buffers.degenerate.zero_()
+    degenerate.zero_()
     culled.zero_()
     inputs = [
-        buffers.light_frame_of[light],
+        light,
         FILTER_FACTOR,
         scene.vertices,
         scene.triangles,
-        buffers.records,
+        records,
         int(front_face_culling),
-        buffers.degenerate,
+        degenerate,
         culled,
     ]
     count = scene.triangle_count
-    if buffers.device.is_cpu:
+    if records.device.is_cpu:
         blocks = -(-count // _BLOCK)
-        wp.launch(prepare_blocks, dim=blocks, inputs=[count, *inputs], device=buffers.device)
+        wp.launch(prepare_blocks, dim=blocks, inputs=[count, *inputs], device=records.device)
     else:
-        wp.launch(prepare_triangles, dim=count, inputs=inputs, device=buffers.device)
+        wp.launch(prepare_triangles, dim=count, inputs=inputs, device=records.device)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the triangle records of one light: made again only when the light, the anchor, the scene or the
-culling has changed."""
+"""Keeps the triangle records of as many lights as there is room for: made again only when the light, the anchor, the
+scene or the culling has changed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers
+from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, Slices
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangle_setup import prepare
@@ -17,6 +17,9 @@ from shadow_tracer.gpu.triangle_setup import prepare
 
 class TriangleRecords:
     """The records in ``FrameBuffers.records`` and what they were made for.
+
+    ``bounds.max_triangles`` records hold those of several lights if the scene has fewer triangles: light number k uses
+    place k modulo the number of places.
 
     Attributes:
         front_face_culling: whether triangles whose front faces the light cast nothing; may change between frames.
@@ -26,28 +29,44 @@ class TriangleRecords:
         self.front_face_culling = False
         self._frame = frame
         self._scene = scene
-        self._culled = wp.zeros(frame.degenerate.shape[0], dtype=int, device=frame.device)
-        self._made_for: tuple[object, ...] | None = None
+        places = frame.bounds.max_lights
+        self._degenerate = [wp.zeros(64, dtype=int, device=frame.device) for _ in range(places)]
+        self._culled = [wp.zeros(64, dtype=int, device=frame.device) for _ in range(places)]
+        self._made_for: dict[int, tuple[object, ...]] = {}
         self._stale: dict[int, bool] = {}
+        self._places = 1
+        self._slices = Slices()
 
-    @property
-    def culled(self) -> int:
-        """Triangles that cast nothing for the last light because of front-face culling. Waits for the device."""
-        return int(self._culled.numpy().sum()) if self.front_face_culling else 0
+    def room(self) -> int:
+        """Lights whose records, and corners, fit at the same time."""
+        bounds, scene = self._frame.bounds, self._scene
+        places = min(
+            bounds.max_triangles // max(scene.triangle_count, 1),
+            3 * bounds.max_triangles // max(scene.vertex_count, 1),
+        )
+        return max(1, min(places, bounds.max_lights))
 
-    def plan(self, frames: Sequence[LightFrame]) -> tuple[bool, ...]:
-        """Announce that ``prepare`` will be called for ``frames`` in this order; returns for each whether it will have
-        to make the records. So this is known before anything is launched."""
+    def place(self, light: int) -> int:
+        """Where the records of light number ``light`` are."""
+        return light % self._places
+
+    def plan(self, frames: Sequence[LightFrame], together: int) -> tuple[bool, ...]:
+        """Announce that ``prepare`` will be called for ``frames`` in this order, whose records are needed ``together``
+        at a time (at most ``room()``); returns for each whether it will have to make them. So this is known before
+        anything is launched."""
+        self._places = self.room() // together * together
         for frame in frames:
             key = (
+                self._places,
                 tuple(frame.light),
                 tuple(frame.center),
                 frame.inverse_scale,
                 self._scene.version,
                 self.front_face_culling,
             )
-            self._stale[frame.number] = key != self._made_for and self._scene.triangle_count > 0
-            self._made_for = key
+            place = self.place(frame.number)
+            self._stale[frame.number] = key != self._made_for.get(place) and self._scene.triangle_count > 0
+            self._made_for[place] = key
         return tuple(self._stale[frame.number] for frame in frames)
 
     def prepare(self, frame: LightFrame) -> bool:
@@ -55,12 +74,34 @@ class TriangleRecords:
         if not self._stale[frame.number]:
             return False
         self._stale[frame.number] = False
-        prepare(frame.number, self._scene, self._frame, self.front_face_culling, self._culled)
+        place, buffers = self.place(frame.number), self._frame
+        prepare(
+            buffers.light_frame_of[frame.number],
+            self._scene,
+            self.of(frame.number),
+            self.front_face_culling,
+            self._degenerate[place],
+            self._culled[place],
+        )
         return True
+
+    def of(self, light: int, lights: int = 1) -> wp.array:
+        """Records of ``lights`` lights from number ``light`` on, light after light."""
+        count = self._scene.triangle_count
+        return self._slices(self._frame.records, self.place(light) * count, lights * count)
+
+    def silent(self, light: int) -> tuple[int, int]:
+        """Triangles that cast nothing for light number ``light``: degenerate ones, and those culled. Waits for the
+        device."""
+        if self._scene.triangle_count == 0:
+            return 0, 0
+        place = self.place(light)
+        degenerate = int(self._degenerate[place].numpy().sum())
+        return degenerate, int(self._culled[place].numpy().sum()) if self.front_face_culling else 0
 
     def forget(self) -> None:
         """Make them again next time, whatever is there."""
-        self._made_for = None
+        self._made_for.clear()
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ def test_samples(
     samples, valid = frame.samples.numpy().copy(), frame.valid.numpy().copy()
     frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
     frame.valid.fill_(9)
-    frame.count = count
+    frame.set_samples(count, 0)
     unproject.unproject_image(array, frame)
     np.testing.assert_array_equal(frame.valid.numpy(), valid)
     seen = valid == 1
@@ -132,28 +132,36 @@ def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int
     samples, valid = frame.samples.numpy(), frame.valid.numpy()
     samples[:count], valid[:count] = _samples(rng, count), rng.random(count) < 0.8
     samples[:count][valid[:count] == 0] = np.nan
-    frame.count = count
+    frame.set_samples(count, 0)
     frame_of_light = make_light_frame(_LIGHTS[light], Anchor((0.1, 0.0, -0.1), 2.5))
     frame.set_lights([frame_of_light])
-    inputs = [frame.light_frame_of[0], again, frame.samples, frame.valid, frame.rays, frame.states[0], frame.counters]
+    inputs = [
+        frame.light_frame_of[0],
+        again,
+        frame.samples,
+        frame.valid,
+        frame.rays,
+        frame.states,
+        frame.counters,
+    ]
     states = np.full(count, 9, np.uint8)
     if again:
-        projection.project(frame, 0, 0)
-        states = frame.states[0].numpy()[:count].copy()
+        projection.project(frame, 0, 0, 0)
+        states = frame.states.numpy()[:count].copy()
         # Pending ones are few and not in every block, as after a queue that was nearly large enough.
         few = (rng.random(count) < 0.02) & (np.arange(count) // 256 % 3 != 1)
         states[(states == 0) & (few | (count < 300))] = PENDING
 
     def run(blocks: bool) -> tuple[np.ndarray, np.ndarray, int]:
         frame.rays.fill_(wp.vec4(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
-        frame.states[0].fill_(9)
-        frame.states[0].numpy()[:count] = states
+        frame.states.fill_(9)
+        frame.states.numpy()[:count] = states
         frame.counters.zero_()
         if blocks:
-            projection.project(frame, 0, again)
+            projection.project(frame, 0, 0, again)
         else:
             wp.launch(projection.project_samples, dim=count, inputs=inputs, device="cpu")
-        return frame.rays.numpy().copy(), frame.states[0].numpy().copy(), frame.read_counters()["rays"]
+        return frame.rays.numpy().copy(), frame.states.numpy().copy(), frame.read_counters()["rays"]
 
     rays, after, traced = run(False)
     block_rays, block_after, block_traced = run(True)
@@ -218,11 +226,10 @@ _MESHES = (_random, _tiny, _slivers, _exact_ties, _nearly_flat, _spread, _not_fi
 def _prepared(frame: FrameBuffers, scene: SceneBuffers, light: Any, cull: int, blocks: bool) -> tuple[Any, int, int]:
     frame.set_lights([make_light_frame(light, Anchor((0.1, 0.0, -0.1), 2.5))])
     frame.records.fill_(wp.vec4(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
-    culled = wp.zeros(64, dtype=int, device="cpu")
+    degenerate, culled = wp.zeros(64, dtype=int, device="cpu"), wp.zeros(64, dtype=int, device="cpu")
     if blocks:
-        triangle_setup.prepare(0, scene, frame, bool(cull), culled)
+        triangle_setup.prepare(frame.light_frame_of[0], scene, frame.records, bool(cull), degenerate, culled)
     else:
-        frame.degenerate.zero_()
         inputs = [
             frame.light_frame_of[0],
             triangle_setup.FILTER_FACTOR,
@@ -230,11 +237,11 @@ def _prepared(frame: FrameBuffers, scene: SceneBuffers, light: Any, cull: int, b
             scene.triangles,
             frame.records,
             cull,
-            frame.degenerate,
+            degenerate,
             culled,
         ]
         wp.launch(triangle_setup.prepare_triangles, dim=scene.triangle_count, inputs=inputs, device="cpu")
-    return frame.records.numpy().copy(), int(frame.degenerate.numpy().sum()), int(culled.numpy().sum())
+    return frame.records.numpy().copy(), int(degenerate.numpy().sum()), int(culled.numpy().sum())
 
 
 def _agree(one: np.ndarray, other: np.ndarray) -> None:

@@ -316,7 +316,7 @@ class RayOrder:
     def sort(self, light: int) -> None:
         """Order the tree rays of light number ``light`` that are not known to be in shadow."""
         frame, who = self._context.frame, self._participants
-        device, count, states = frame.device, frame.count, frame.states[light]
+        device, count, states = frame.device, frame.count, frame.states_of(light)
         if self._packed:
             # One thread: it can pack the keys of present rays as it goes, so that only they are sorted.
             wp.launch(measure_extent_wide, dim=1, inputs=[count, frame.rays, who.group, self._extent], device=device)

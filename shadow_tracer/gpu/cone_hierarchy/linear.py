@@ -10,8 +10,8 @@ from shadow_tracer.gpu.cone_hierarchy import descent, descent_wide
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTreeBuffers
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
 from shadow_tracer.gpu.corners import Corners
-from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.participants import Participants
+from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.triangle_planes import Occluders
 from shadow_tracer.gpu.triangles import Context
 
@@ -21,6 +21,8 @@ _BIG_THREADS_CUDA = 131072
 
 class LinearHierarchy:
     """The pipeline's variant ``linear``; see ``boxes.py`` and ``descent.py``."""
+
+    lights_together = 1
 
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
@@ -37,30 +39,32 @@ class LinearHierarchy:
     def update(self, change: Change) -> None:
         """Nothing is kept of the scene."""
 
-    def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
+    def trace(self, work: Pass) -> None:
         """Build the tree of the light's rays and send all triangles through it."""
+        frame, light = work.light, work.first
         stages = self._context.stages
         with stages.stage("setup"):
             if self._context.records.prepare(frame):
                 self._corners.make(frame)
         with stages.stage("sort"):
-            self._participants.choose(light, attempt)
+            self._participants.choose(work)
             self._order.sort(light)
         with stages.stage("build"):
             self._buffers.build(light)
         with stages.stage("trace"):
-            self._descend(light)
-            self._participants.finish(light, attempt)
+            self._descend(work)
+            self._participants.finish(work)
 
-    def _descend(self, light: int) -> None:
+    def _descend(self, work: Pass) -> None:
+        light = work.first
         buffers, scene, tree = self._context.frame, self._context.scene, self._buffers.tree
         device = buffers.device
         occluders = Occluders()
         occluders.count = scene.triangle_count
         occluders.triangles = scene.triangles
-        occluders.corners = self._corners.vertices
-        occluders.records = buffers.records
-        inputs = [buffers.light_frame_of[light], tree, occluders, self._participants.answers(light)]
+        occluders.corners = self._corners.of(light)
+        occluders.records = self._context.records.of(light)
+        inputs = [buffers.light_frame_of[light], tree, occluders, self._participants.answers(work)]
         if self._wide:
             wp.launch(descent_wide.descend_wide, dim=1, inputs=inputs, device=device)
             return
@@ -69,7 +73,7 @@ class LinearHierarchy:
         wp.launch(descent.descend_triangles, dim=scene.triangle_count, inputs=inputs, device=device)
         threads = 1 if device.is_cpu else _BIG_THREADS_CUDA
         wp.launch(descent.descend_big, dim=threads, inputs=[threads, *inputs], device=device)
-        wp.launch(descent.write_accepted, dim=buffers.count, inputs=[tree, buffers.states[light]], device=device)
+        wp.launch(descent.write_accepted, dim=buffers.count, inputs=[tree, buffers.states_of(light)], device=device)
 
     def learn(self, counters: dict[str, int]) -> None:
         """Nothing to adapt."""

@@ -34,9 +34,9 @@ from shadow_tracer.gpu.cone_hierarchy.cones import ConeTree, Leaves
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
 from shadow_tracer.gpu.cone_hierarchy.occluders import LargeOccluders
 from shadow_tracer.gpu.corners import Corners
-from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.light_space import make_light_space
 from shadow_tracer.gpu.participants import Participants
+from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.triangles import Context
 
 
@@ -66,6 +66,7 @@ class PaperHierarchy:
     """One of the paper's variants of the ``cone_hierarchy`` pipeline."""
 
     recordable = False
+    lights_together = 1
 
     def __init__(self, variant: str, context: Context) -> None:
         self._recipe = recipe = _RECIPES[variant]
@@ -86,32 +87,34 @@ class PaperHierarchy:
         self._leaves.counts = self._participants.counts
         self._triangles = Triangles()
         self._triangles.spheres = int(recipe.spheres)
-        self._triangles.corners = self._corners.vertices
         self._triangles.indices = scene.triangles
-        self._triangles.records = frame.records
         self._triangles.sizes = self._large.sizes
         self._triangles.threshold = self._large.threshold
 
     def update(self, change: Change) -> None:
         """Nothing is kept between frames."""
 
-    def trace(self, frame: LightFrame, light: int, attempt: int) -> None:
+    def trace(self, work: Pass) -> None:
         """Make the tree over the rays of the light and send the triangles through it."""
+        frame, light = work.light, work.first
         context, recipe = self._context, self._recipe
-        buffers, scene, stages = context.frame, context.scene, context.stages
+        scene, stages = context.scene, context.stages
         with stages.stage("setup"):
             if context.records.prepare(frame):
                 self._corners.make(frame)
             self._triangles.space = make_light_space(frame)
+            self._triangles.corners = self._corners.of(light)
+            self._triangles.records = context.records.of(light)
             if recipe.two_pass:
-                self._large.choose(scene.triangle_count, self._corners.vertices, scene.triangles, buffers.records)
+                inputs = (self._triangles.corners, scene.triangles, self._triangles.records)
+                self._large.choose(scene.triangle_count, *inputs)
         with stages.stage("choose"):
-            self._participants.choose(light, attempt)
+            self._participants.choose(work)
             self._cones.shape(recipe.ordered)
         for part in (_LARGE, _OTHERS) if recipe.two_pass else (_ALL,):
-            self._pass(light, part)
+            self._pass(work, part)
         with stages.stage("rest"):
-            self._participants.finish(light, attempt)
+            self._participants.finish(work)
 
     def learn(self, counters: dict[str, int]) -> None:
         """Nothing to adapt."""
@@ -121,18 +124,18 @@ class PaperHierarchy:
         parts = (self._participants, self._corners, self._cones, self._traversal, self._large)
         return sum(part.nbytes() for part in parts) + (self._order.nbytes() if self._order else 0)
 
-    def _pass(self, light: int, part: int) -> None:
+    def _pass(self, work: Pass, part: int) -> None:
         """Tree over the rays that are still lit, and one part of the triangles through it."""
         context, stages = self._context, self._context.stages
-        states: wp.array = context.frame.states[light]
+        states: wp.array = context.frame.states_of(work.first)
         if self._order:
             with stages.stage("sort"):
-                self._order.sort(light)
+                self._order.sort(work.first)
         with stages.stage("build"):
             self._cones.build(self._triangles.space, self._leaves, states)
         with stages.stage("traverse"):
             self._triangles.part = part
-            answers = self._participants.answers(light)
+            answers = self._participants.answers(work)
             self._traversal.run(self._triangles, context.scene.triangle_count, self._cones, self._leaves, answers)
         if self._recipe.accept:
             with stages.stage("output"):

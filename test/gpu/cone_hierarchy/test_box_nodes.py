@@ -89,15 +89,15 @@ def _outcome(device: str, name: str, seed: int) -> Outcome:
     # The tree as it is before any triangle went through it: descents close nodes that are done.
     pipeline._descend = taken.append
     tracer.occluded(points, light, 0.02)
-    index, space = taken[0], make_light_space(make_light_frame(light, engine._anchor))
+    work, space = taken[0], make_light_space(make_light_frame(light, engine._anchor))
     tree, frame, scene = pipeline._buffers.tree, engine._frame, engine._scene
     occluders = Occluders()
     occluders.count, occluders.triangles, occluders.records = scene.triangle_count, scene.triangles, frame.records
-    occluders.corners = pipeline._corners.vertices
+    occluders.corners = pipeline._corners.of(0)
     offset = tree.offset.numpy()
     nodes = int(offset[tree.levels])
     out = wp.empty((nodes, len(triangles), 6), dtype=int, device=device)
-    inputs = [space, tree, occluders, pipeline._participants.answers(index), out]
+    inputs = [space, tree, occluders, pipeline._participants.answers(work), out]
     wp.launch(judge_all, dim=out.shape, inputs=inputs, device=device)
     hidden = wp.empty((len(points), len(triangles)), dtype=wp.uint8, device=device)
     homogeneous = wp.vec4d(*light.homogeneous)

@@ -20,6 +20,7 @@ from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.light_frame import make_anchor, make_light_frame
 from shadow_tracer.gpu.light_space import make_light_space
 from shadow_tracer.gpu.participants import Participants
+from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.projection import project
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangles import Context, TriangleRecords
@@ -60,16 +61,16 @@ def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
     bias = np.where(np.arange(len(points)) % 3 == 0, 0.02, 0.0)
     upload(frame.samples, np.concatenate([points, bias[:, None]], axis=1))
     upload(frame.valid, np.ones(len(points), np.uint8))
-    frame.count = len(points)
+    frame.set_samples(len(points), 0)
     # A small anchor leaves most samples far to the side of it.
     around = make_light_frame(light, make_anchor(np.zeros(3), (4.0, 0.3)[seed % 2], None))
     frame.set_lights([around])
-    project(frame, 0, 0)
-    context.records.plan([around])
+    project(frame, 0, 0, 0)
+    context.records.plan([around], 1)
     context.records.prepare(around)
     seen, rays_in_tree, tree = Corners(context), Participants(context), cones.ConeTree(context)
     seen.make(around)
-    rays_in_tree.choose(0, 0)
+    rays_in_tree.choose(Pass((around,)))
     assert (rays_in_tree.group.numpy() == 1).all()
     leaves = cones.Leaves()
     leaves.rays, leaves.group = frame.rays, rays_in_tree.group
@@ -77,8 +78,8 @@ def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
     tree.shape(True)
     what = Triangles()
     what.space, what.spheres = make_light_space(around), int(spheres)
-    what.corners, what.indices, what.records = seen.vertices, scene.triangles, frame.records
-    tree.build(what.space, leaves, frame.states[0])
+    what.corners, what.indices, what.records = seen.of(0), scene.triangles, frame.records
+    tree.build(what.space, leaves, frame.states_of(0))
     hidden = wp.empty((len(points), len(triangles)), dtype=wp.uint8, device=device)
     inputs = [around.light, frame.samples, scene.vertices, scene.triangles, hidden]
     wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=device)
