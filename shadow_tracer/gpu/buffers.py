@@ -24,6 +24,7 @@ from shadow_tracer.scene.mesh import Mesh, Scene
 
 # Columns of the counter array. Each has 64 rows that threads spread over, so that they do not queue for one address.
 COUNTERS = ("rays", "nodes_visited", "leaf_tests", "retested", "exact", "accepted", "passes", "peak_queue")
+COUNTERS += ("entries", "largest_tile", "splits", "overflows")
 RAYS = wp.constant(0)
 NODES_VISITED = wp.constant(1)
 LEAF_TESTS = wp.constant(2)
@@ -31,7 +32,12 @@ RETESTED = wp.constant(3)
 EXACT = wp.constant(4)
 ACCEPTED = wp.constant(5)
 PASSES = wp.constant(6)
-PEAK_QUEUE = wp.constant(7)  # the largest value of any row counts, not the sum
+PEAK_QUEUE = wp.constant(7)
+ENTRIES = wp.constant(8)
+LARGEST_TILE = wp.constant(9)
+SPLITS = wp.constant(10)
+OVERFLOWS = wp.constant(11)  # further passes that a pipeline did by itself
+_LARGEST = (PEAK_QUEUE, LARGEST_TILE)  # of these the largest value of any row counts, not the sum
 _ROWS = 64
 
 
@@ -148,7 +154,8 @@ class FrameBuffers:
         """Counter sums by name. Waits for the device."""
         rows = self.counters.numpy()
         totals = rows.sum(axis=0)
-        totals[PEAK_QUEUE] = rows[:, PEAK_QUEUE].max()
+        for column in _LARGEST:
+            totals[column] = rows[:, column].max()
         return dict(zip(COUNTERS, (int(v) for v in totals), strict=True))
 
     def nbytes(self) -> int:

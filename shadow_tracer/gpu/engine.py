@@ -131,7 +131,7 @@ class Engine:
             counters = frame.read_counters()
         counters["triangles"] = self._scene.triangle_count
         counters["degenerate"], counters["culled"] = self._context.records.silent(len(lights) - 1)
-        counters["overflow_passes"] = further
+        counters["overflow_passes"] = further + counters.pop("overflows")
         self._pipeline.learn(counters)
         return Traced(states, self.stages.read(), counters)
 
