@@ -67,6 +67,12 @@ REGISTRY: dict[str, PipelineEntry] = {
         "make",
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
     ),
+    "light_grid": PipelineEntry(
+        ("packed",),
+        "shadow_tracer.gpu.light_grid.pipeline",
+        "make",
+        "triangles in tiles of directions around the light, rays sorted into them",
+    ),
     "mesh_bvh": PipelineEntry(
         ("refit", "rebuild", "binary"),
         "shadow_tracer.gpu.mesh_bvh",

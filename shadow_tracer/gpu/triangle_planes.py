@@ -146,11 +146,11 @@ TRIANGLE = (
         else
             answers.states.data[sample] = 4;
     };
-    // Corners of a triangle; returns 1 + the largest magnitude of them.
-    auto corners_of = [&](int triangle, wp::vec4* at) -> float {
+    // Corners of a triangle, those of its light from `first` on; returns 1 + the largest magnitude of them.
+    auto corners_of = [&](int triangle, int first, wp::vec4* at) -> float {
         float size[3];
         for (int k = 0; k < 3; ++k) {
-            at[k] = occluders.corners.data[occluders.triangles.data[triangle][k]];
+            at[k] = occluders.corners.data[first + occluders.triangles.data[triangle][k]];
             size[k] = fabsf(at[k][0]) + fabsf(at[k][1]) + fabsf(at[k][2]) + fabsf(at[k][3]);
         }
         return 1.0f + most3(size[0], size[1], size[2]);

@@ -187,7 +187,7 @@ _THREAD = (
     + r"""
     const int t = thread;
     wp::vec4 at[3];
-    const float size = corners_of(t, at);
+    const float size = corners_of(t, 0, at);
     if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)t, it))
         return false;
     const int touched = touched_by(at, size);

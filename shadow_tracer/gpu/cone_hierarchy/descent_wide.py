@@ -145,7 +145,7 @@ _WIDE = (
         if (t + 8 < occluders.count)
             __builtin_prefetch(occluders.corners.data + occluders.triangles.data[t + 8][0]);
         wp::vec4 at[3];
-        const float size = corners_of(t, at);
+        const float size = corners_of(t, 0, at);
         const int touched = touched_by(at, size);
         bool loaded = false;
         for (int face = 0; face < 6; ++face) {

@@ -31,7 +31,7 @@ _ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
     descent._THREAD
     + r"""
     wp::vec4 at[3];
-    const float size = corners_of(thread, at);
+    const float size = corners_of(thread, 0, at);
     if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)thread, it))
         return -1;
     if (!(touched_by(at, size) >> face & 1) || !look(at[0], at[1], at[2], size, face, seen))

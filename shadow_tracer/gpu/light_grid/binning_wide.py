@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangles into tiles and tiles traced, sixteen boxes or rays at a time, for the CPU. ``binning.py`` does the same on
+CUDA.
+
+Triangles are taken in order. (Tile, triangle) entries gather in a list of limited length; whenever it is full, it is
+sorted by tile and traced, tile by tile: the rays of a tile stay in registers while its triangles pass by. A limit far
+below all entries has two advantages: the list stays in the cache, and tiles that are finished take no more entries.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.buffers import ENTRIES, LARGEST_TILE, OVERFLOWS, PASSES
+from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.light_grid.tile_test import SIDE, SIDE_SIXTEEN
+from shadow_tracer.gpu.light_grid.tiles import Tiles
+from shadow_tracer.gpu.light_space import LightSpace, space_of
+from shadow_tracer.gpu.participants import Answers
+from shadow_tracer.gpu.shadow_test import FILTER_SIXTEEN
+from shadow_tracer.gpu.triangle_planes import TRIANGLE, Occluders
+
+
+@wp.struct
+class EntryList:
+    """Entries gathered between two tracings."""
+
+    capacity: int
+    bounded: int  # whether the capacity is smaller than it would be without a bound
+    tile: wp.array(dtype=int)
+    record: wp.array(dtype=int)
+    sorted: wp.array(dtype=int)
+    start: wp.array(dtype=int)  # per tile
+    total: wp.array(dtype=int)  # entries of each tile so far
+    count: wp.array(dtype=int)  # [entries waiting, traces, all entries as two halves]
+
+
+# Expects `tiles`, `list`, `space`, `occluders` and `answers`; `first_record` of the light's triangles, `place` of the
+# light. Traces what is in the list.
+_TRACE = (
+    FILTER_SIXTEEN
+    + r"""
+    wp::int64 tests = 0, accepted = 0;
+    auto gone = [&](int tile) {
+        float* box = tiles.boxes.data + 96 * (size_t)(tile / 16) + tile % 16;
+        box[32] = box[48] = -1.0e30f;
+    };
+    auto shadow = [&](int tile, unsigned rays) {
+        for (; rays; rays &= rays - 1)
+            answers.states.data[tiles.order.data[32 * (size_t)tile + __builtin_ctz(rays)]] = 1;
+    };
+    auto test_tile = [&](int tile, const int* records, int n) {
+        unsigned live = (unsigned)tiles.live.data[tile];
+        const float* rays = tiles.rays.data + 160 * (size_t)tile;
+        for (int k = 0; k < n && live; ++k) {
+            const float* record = (const float*)occluders.records.data + 16 * (size_t)records[k];
+            if (k + 4 < n)
+                __builtin_prefetch((const float*)occluders.records.data + 16 * (size_t)records[k + 4]);
+            tests += __builtin_popcount(live);
+            int yes_low = 0, yes_high = 0;
+            const unsigned low = live & 0xFFFF ? filter16(record, rays, yes_low) : 0;
+            const unsigned high = live >> 16 ? filter16(record, rays + 80, yes_high) : 0;
+            const unsigned found = (low | high << 16) & live;
+            if (!found)
+                continue;
+            const unsigned yes = ((low ? yes_low : 0) | (high ? (unsigned)yes_high << 16 : 0)) & found;
+            for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
+                settle(tiles.order.data[32 * (size_t)tile + __builtin_ctz(maybe)], records[k] % occluders.count);
+            if (yes) {
+                shadow(tile, yes);
+                live &= ~yes;
+            }
+        }
+        if (live != (unsigned)tiles.live.data[tile]) {
+            tiles.live.data[tile] = (int)live;
+            if (!live)
+                gone(tile);
+        }
+    };
+    auto flush = [&]() {
+        const int n = list.count.data[0], slots = 16 * tiles.counts.data[2];
+        if (n == 0)
+            return;
+        list.count.data[0] = 0;
+        ++list.count.data[1];
+        if (n < slots / 8) {
+            // Sorting costs more than it gains.
+            for (int k = 0; k < n; ++k) {
+                ++list.total.data[list.tile.data[k]];
+                test_tile(list.tile.data[k], list.record.data + k, 1);
+            }
+            return;
+        }
+        int* start = list.start.data;
+        for (int k = 0; k <= slots; ++k)
+            start[k] = 0;
+        for (int k = 0; k < n; ++k)
+            ++start[list.tile.data[k]];
+        int sum = 0;
+        for (int k = 0; k < slots; ++k) {
+            const int here = start[k];
+            start[k] = sum;
+            sum += here;
+        }
+        for (int k = 0; k < n; ++k)
+            list.sorted.data[start[list.tile.data[k]]++] = list.record.data[k];
+        int from = 0;
+        for (int tile = 0; tile < slots; ++tile) {
+            const int to = start[tile];
+            if (to > from) {
+                list.total.data[tile] += to - from;
+                test_tile(tile, list.sorted.data + from, to - from);
+            }
+            from = to;
+        }
+    };
+    auto accept = [&](int tile) {
+        const unsigned live = (unsigned)tiles.live.data[tile];
+        if (!live)
+            return;
+        ++accepted;
+        shadow(tile, live);
+        tiles.live.data[tile] = 0;
+        gone(tile);
+    };
+    auto report = [&]() {
+        wp::int64* counter = answers.counters.data;
+        wp::atomic_add(counter + leaf_tests, tests);
+        wp::atomic_add(counter + accepted_nodes, accepted);
+    };
+"""
+)
+
+_BIN = (
+    TRIANGLE
+    + SIDE
+    + _TRACE
+    + SIDE_SIXTEEN
+    + r"""
+    wp::int64 nodes = 0, entries = 0;
+    auto enter = [&](int tile, int record) {
+        if (list.count.data[0] == list.capacity) {
+            flush();
+            if (!tiles.live.data[tile])
+                return;
+        }
+        const int slot = list.count.data[0]++;
+        list.tile.data[slot] = tile;
+        list.record.data[slot] = record;
+        ++entries;
+    };
+    const int* groups = tiles.groups.data;
+    auto visit = [&](const Side& side, int group, int record) {
+        const int *of = groups + 6 * group, length = of[2] / 512, first = of[3], columns = of[4], first_block = of[5];
+        const int all_blocks = (of[1] + 511) / 512;
+        unsigned short mask[64], whole[64];
+        // A triangle that touches few columns is small: its bounds say nearly all.
+        const int sixteens = (columns + 15) / 16;
+        for (int base = 0; base < sixteens; base += 64) {
+            const int n = sixteens - base < 64 ? sixteens - base : 64;
+            int touched = 0;
+            for (int k = 0; k < n; ++k) {
+                mask[k] = touches(tiles.columns.data + 96 * (size_t)(first / 16 + base + k), side);
+                whole[k] = 0;
+                touched += __builtin_popcount(mask[k]);
+            }
+            nodes += 16 * n;
+            const bool large = !side.bounded || touched > 4;
+            if (large) {
+                for (int k = 0; k < n; ++k) {
+                    int covered = 0;
+                    if (mask[k])
+                        mask[k] = meets(tiles.columns.data + 96 * (size_t)(first / 16 + base + k), side, covered);
+                    whole[k] = covered;
+                }
+            }
+            for (int k = 0; k < n; ++k)
+                for (int some = mask[k]; some; some &= some - 1) {
+                    const int lane = __builtin_ctz(some), column = 16 * (base + k) + lane;
+                    const int block0 = column * length;
+                    const int blocks = all_blocks - block0 < length ? all_blocks - block0 : length;
+                    if (whole[k] >> lane & 1) {
+                        for (int tile = 16 * (first_block + block0); tile < 16 * (first_block + block0 + blocks); ++tile)
+                            accept(tile);
+                        continue;
+                    }
+                    const float* boxes = tiles.blocks.data + 96 * (size_t)(first + column);
+                    int covered = 0;
+                    int inner = large ? meets(boxes, side, covered) : touches(boxes, side);
+                    nodes += blocks;
+                    for (; inner; inner &= inner - 1) {
+                        const int b = __builtin_ctz(inner), block = first_block + block0 + b;
+                        if (covered >> b & 1) {
+                            for (int tile = 16 * block; tile < 16 * block + 16; ++tile)
+                                accept(tile);
+                            continue;
+                        }
+                        int full = 0;
+                        int hit = meets(tiles.boxes.data + 96 * (size_t)block, side, full);
+                        nodes += 16;
+                        for (int left = full; left; left &= left - 1)
+                            accept(16 * block + __builtin_ctz(left));
+                        for (hit &= ~full; hit; hit &= hit - 1)
+                            enter(16 * block + __builtin_ctz(hit), record);
+                    }
+                }
+        }
+    };
+    const bool aligned = tiles.aligned.data[place] != 0;
+    for (int t = 0; t < occluders.count; ++t) {
+        if (t + 8 < occluders.count)
+            __builtin_prefetch(occluders.corners.data + first_corner + occluders.triangles.data[t + 8][0]);
+        wp::vec4 at[3];
+        const float size = corners_of(t, first_corner, at);
+        const int touched = aligned ? 16 : touched_by(at, size);
+        bool loaded = false;
+        for (int face = 0; face < 6; ++face) {
+            const int group = 6 * place + face;
+            if (!(touched >> face & 1) || groups[6 * group + 1] == 0)
+                continue;
+            Seen seen;
+            seen.bounded = false;
+            if (size < far_out && !look(at[0], at[1], at[2], size, face, seen))
+                continue;
+            if (seen.bounded) {
+                const wp::vec4 grid = tiles.fit.data[group];
+                const int first = (face / 2 + 1) % 3, second = (face / 2 + 2) % 3;
+                if (seen.high[first] < grid[0] || seen.high[second] < grid[1]
+                    || (seen.low[first] - grid[0]) * grid[2] > 4100.0f || (seen.low[second] - grid[1]) * grid[3] > 4100.0f)
+                    continue;
+            }
+            Planes it;
+            if (!load((const wp::vec4*)occluders.records.data + 4 * ((size_t)first_record + t), it))
+                break;
+            loaded = true;
+            visit(turn(it, seen, face), group, first_record + t);
+        }
+    }
+    answers.counters.data[nodes_visited] += nodes;
+    answers.counters.data[all_entries] += entries;
+    report();
+"""
+)
+
+
+@wp.func_native("#if !defined(__CUDA_ARCH__)\n" + _BIN + "\n#endif\n")
+def bin_light(
+    place: int,
+    all_entries: int,
+    first_record: int,
+    first_corner: int,
+    space: LightSpace,
+    tiles: Tiles,
+    occluders: Occluders,
+    list: EntryList,
+    answers: Answers,
+):
+    """All triangles of the light at ``place``; entries that are left stay in the list."""
+    ...
+
+
+@wp.func_native("#if !defined(__CUDA_ARCH__)\n" + TRIANGLE + _TRACE + "flush();\nreport();\n#endif\n")
+def trace_list(space: LightSpace, tiles: Tiles, occluders: Occluders, list: EntryList, answers: Answers):
+    """Trace what is in the list."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def bin_wide(
+    lights: wp.array(dtype=LightFrame),
+    vertices: int,
+    tiles: Tiles,
+    occluders: Occluders,
+    list: EntryList,
+    answers: Answers,
+):
+    """One thread."""
+    slots = 16 * tiles.counts[2]
+    for k in range(slots):
+        list.total[k] = 0
+    list.count[0] = 0
+    list.count[1] = 0
+    before = answers.counters[0, ENTRIES]
+    for place in range(tiles.lights):
+        bin_light(
+            place,
+            ENTRIES,
+            place * occluders.count,
+            place * vertices,
+            space_of(lights[place]),
+            tiles,
+            occluders,
+            list,
+            answers,
+        )
+    trace_list(space_of(lights[0]), tiles, occluders, list, answers)
+    largest = int(0)
+    for k in range(slots):
+        largest = wp.max(largest, list.total[k])
+    wp.atomic_max(answers.counters, 0, LARGEST_TILE, wp.int64(largest))
+    wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
+    entries = answers.counters[0, ENTRIES] - before
+    if list.bounded != 0 and entries > wp.int64(list.capacity):
+        wp.atomic_add(answers.counters, 0, OVERFLOWS, wp.int64(list.count[1] - 1))

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A triangle against boxes of tiles: conservative in both directions.
+
+With the same stored planes as the shadow test (``triangle_planes.py``), on a face of a light: an edge plane is A u + B v
++ C, the triangle's own plane P is linear in (u, v, t). A box is rejected if a plane is negative all over it by more than
+its pad, or if the triangle's bounds miss it; the triangle covers the box if every plane is positive all over it by more
+than its pad. What the filter calls *maybe* or *yes* for a ray can therefore not be rejected, and what is covered is a
+*yes* for every ray. Pads are those of ``light_space.py``, with M = 6 + 2.001 max |t|.
+"""
+
+from __future__ import annotations
+
+# C++ for native functions, behind triangle_planes.TRIANGLE:
+# Side: planes and bounds on one face; turn(it, seen, face) makes it;
+# touches(b, side): the boxes that its bounds touch, of a group of sixteen at b, as bits;
+# meets(b, side, covered): the boxes it cannot be said to miss, and those it covers.
+SIDE = r"""
+    struct Side {
+        float a[3], b[3], c[3], ra[3], rb[3];      // edges, and absolute values
+        float pa, pb, pc, pt, rpa, rpb;            // P
+        float edge, plane;                         // factors of the pads
+        float u0, u1, v0, v1, nearest;
+        bool blind, bounded;
+    };
+    auto turn = [&](const Planes& it, const Seen& seen, int face) -> Side {
+        const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
+        const float sign = face & 1 ? -1.0f : 1.0f;
+        Side s;
+        for (int k = 0; k < 3; ++k) {
+            s.a[k] = it.n[k][first];
+            s.b[k] = it.n[k][second];
+            s.c[k] = sign * it.n[k][axis];
+            s.ra[k] = it.reach[k][first];
+            s.rb[k] = it.reach[k][second];
+        }
+        s.pa = it.p[first];
+        s.pb = it.p[second];
+        s.pc = sign * it.p[axis];
+        s.pt = it.p[3];
+        s.rpa = it.spread[first];
+        s.rpb = it.spread[second];
+        s.edge = it.edge;
+        s.plane = it.plane;
+        s.blind = it.blind;
+        s.bounded = seen.bounded;
+        s.u0 = seen.bounded ? seen.low[first] : -3.0f;
+        s.u1 = seen.bounded ? seen.high[first] : 3.0f;
+        s.v0 = seen.bounded ? seen.low[second] : -3.0f;
+        s.v1 = seen.bounded ? seen.high[second] : 3.0f;
+        s.nearest = seen.bounded ? seen.nearest : 3.0e38f;
+        return s;
+    };
+"""
+
+SIDE_SIXTEEN = r"""
+    auto larger = [](Sixteen x, Sixteen y) -> Sixteen { return x > y ? x : y; };
+    auto touches = [&](const float* b, const Side& s) -> int {
+        const Sixteen cu = *(const Sixteen*)b, cv = *(const Sixteen*)(b + 16);
+        const Sixteen eu = *(const Sixteen*)(b + 32), ev = *(const Sixteen*)(b + 48), t0 = *(const Sixteen*)(b + 64);
+        return bits((cu - eu <= s.u1) & (cu + eu >= s.u0) & (cv - ev <= s.v1) & (cv + ev >= s.v0) & (t0 <= s.nearest));
+    };
+    auto meets = [&](const float* b, const Side& s, int& covered) -> int {
+        const Sixteen cu = *(const Sixteen*)b, cv = *(const Sixteen*)(b + 16);
+        const Sixteen eu = *(const Sixteen*)(b + 32), ev = *(const Sixteen*)(b + 48);
+        const Sixteen t0 = *(const Sixteen*)(b + 64), t1 = *(const Sixteen*)(b + 80);
+        if (s.blind) {
+            covered = 0;
+            return bits(eu >= 0.0f);
+        }
+        const Sixteen m = 6.0f + 2.001f * larger(larger(t0, -t0), larger(t1, -t1));
+        const Sixteen edge = s.edge * m, plane = s.plane * m;
+        const Sixteen c0 = s.a[0] * cu + s.b[0] * cv + s.c[0], r0 = s.ra[0] * eu + s.rb[0] * ev;
+        const Sixteen c1 = s.a[1] * cu + s.b[1] * cv + s.c[1], r1 = s.ra[1] * eu + s.rb[1] * ev;
+        const Sixteen c2 = s.a[2] * cu + s.b[2] * cv + s.c[2], r2 = s.ra[2] * eu + s.rb[2] * ev;
+        const Sixteen g = s.pa * cu + s.pb * cv + s.pc, h = s.rpa * eu + s.rpb * ev;
+        const int mask = bits((cu - eu <= s.u1) & (cu + eu >= s.u0) & (cv - ev <= s.v1) & (cv + ev >= s.v0)
+                              & (t0 <= s.nearest) & (c0 + r0 >= -edge) & (c1 + r1 >= -edge) & (c2 + r2 >= -edge)
+                              & (g + h + s.pt * t0 >= -plane));
+        covered = mask & bits((c0 - r0 > edge) & (c1 - r1 > edge) & (c2 - r2 > edge) & (g - h + s.pt * t1 > plane));
+        return mask;
+    };
+"""
