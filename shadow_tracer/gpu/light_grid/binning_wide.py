@@ -13,6 +13,7 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import ENTRIES, LARGEST_TILE, OVERFLOWS, PASSES
 from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.light_grid.front_wide import FRONT
 from shadow_tracer.gpu.light_grid.tile_test import SIDE, SIDE_SIXTEEN
 from shadow_tracer.gpu.light_grid.tiles import Tiles
 from shadow_tracer.gpu.light_space import LightSpace, space_of
@@ -135,9 +136,12 @@ _BIN = (
     TRIANGLE
     + SIDE
     + _TRACE
+    + "const bool aligned = tiles.aligned.data[place] != 0;\n"
+    + FRONT
     + SIDE_SIXTEEN
     + r"""
     wp::int64 nodes = 0, entries = 0;
+    const int* groups = tiles.groups.data;
     auto enter = [&](int tile, int record) {
         if (list.count.data[0] == list.capacity) {
             flush();
@@ -149,15 +153,20 @@ _BIN = (
         list.record.data[slot] = record;
         ++entries;
     };
-    const int* groups = tiles.groups.data;
     auto visit = [&](const Side& side, int group, int record) {
-        const int *of = groups + 6 * group, length = of[2] / 512, first = of[3], columns = of[4], first_block = of[5];
+        const int *of = groups + 6 * group, length = of[2] / 512, first = of[3], first_block = of[5];
         const int all_blocks = (of[1] + 511) / 512;
+        const wp::vec4 grid = tiles.fit.data[group];
+        auto cell = [&](float u) -> int {
+            const float x = (u - grid[0]) * grid[2] * 0.0625f;
+            return (int)(x > 0.0f ? (x < 255.0f ? x : 255.0f) : 0.0f);
+        };
+        const int from = tiles.lookup.data[256 * (size_t)group + cell(side.u0)][0];
+        const int to = tiles.lookup.data[256 * (size_t)group + cell(side.u1)][1];
         unsigned short mask[64], whole[64];
         // A triangle that touches few columns is small: its bounds say nearly all.
-        const int sixteens = (columns + 15) / 16;
-        for (int base = 0; base < sixteens; base += 64) {
-            const int n = sixteens - base < 64 ? sixteens - base : 64;
+        for (int base = from / 16; base <= to / 16 && from <= to; base += 64) {
+            const int n = to / 16 - base < 64 ? to / 16 - base + 1 : 64;
             int touched = 0;
             for (int k = 0; k < n; ++k) {
                 mask[k] = touches(tiles.columns.data + 96 * (size_t)(first / 16 + base + k), side);
@@ -206,34 +215,25 @@ _BIN = (
                 }
         }
     };
-    const bool aligned = tiles.aligned.data[place] != 0;
-    for (int t = 0; t < occluders.count; ++t) {
-        if (t + 8 < occluders.count)
-            __builtin_prefetch(occluders.corners.data + first_corner + occluders.triangles.data[t + 8][0]);
-        wp::vec4 at[3];
-        const float size = corners_of(t, first_corner, at);
-        const int touched = aligned ? 16 : touched_by(at, size);
-        bool loaded = false;
+    for (int first = 0; first < occluders.count; first += 16) {
+        gather(first);
         for (int face = 0; face < 6; ++face) {
             const int group = 6 * place + face;
-            if (!(touched >> face & 1) || groups[6 * group + 1] == 0)
+            if (groups[6 * group + 1] == 0)
                 continue;
-            Seen seen;
-            seen.bounded = false;
-            if (size < far_out && !look(at[0], at[1], at[2], size, face, seen))
-                continue;
-            if (seen.bounded) {
-                const wp::vec4 grid = tiles.fit.data[group];
-                const int first = (face / 2 + 1) % 3, second = (face / 2 + 2) % 3;
-                if (seen.high[first] < grid[0] || seen.high[second] < grid[1]
-                    || (seen.low[first] - grid[0]) * grid[2] > 4100.0f || (seen.low[second] - grid[1]) * grid[3] > 4100.0f)
+            for (int some = bound(face); some; some &= some - 1) {
+                const int j = __builtin_ctz(some), record = first_record + first + j;
+                Planes it;
+                if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)record, it))
                     continue;
+                Side side = turn(it, face);
+                if (bounded >> j & 1) {
+                    side.bounded = true;
+                    side.u0 = low_u[j], side.u1 = high_u[j], side.v0 = low_v[j], side.v1 = high_v[j];
+                    side.nearest = nearest[j];
+                }
+                visit(side, group, record);
             }
-            Planes it;
-            if (!load((const wp::vec4*)occluders.records.data + 4 * ((size_t)first_record + t), it))
-                break;
-            loaded = true;
-            visit(turn(it, seen, face), group, first_record + t);
         }
     }
     answers.counters.data[nodes_visited] += nodes;

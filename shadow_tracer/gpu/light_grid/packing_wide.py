@@ -20,6 +20,7 @@ from shadow_tracer.gpu.light_grid.tiles import (
     U_CELLS,
     Tiles,
     lay_out,
+    make_lookup,
     no_column,
 )
 from shadow_tracer.gpu.light_space import FACES
@@ -436,6 +437,7 @@ def pack_wide(
                 keys,
                 order,
             )
+        make_lookup(number, tiles)
     tiles.counts[ALL_RAYS] = count
     tiles.counts[ALL_COLUMNS] = column
     tiles.counts[ALL_BLOCKS] = block

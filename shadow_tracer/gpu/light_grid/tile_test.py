@@ -22,7 +22,7 @@ SIDE = r"""
         float u0, u1, v0, v1, nearest;
         bool blind, bounded;
     };
-    auto turn = [&](const Planes& it, const Seen& seen, int face) -> Side {
+    auto turn = [&](const Planes& it, int face) -> Side {
         const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
         const float sign = face & 1 ? -1.0f : 1.0f;
         Side s;
@@ -42,18 +42,15 @@ SIDE = r"""
         s.edge = it.edge;
         s.plane = it.plane;
         s.blind = it.blind;
-        s.bounded = seen.bounded;
-        s.u0 = seen.bounded ? seen.low[first] : -3.0f;
-        s.u1 = seen.bounded ? seen.high[first] : 3.0f;
-        s.v0 = seen.bounded ? seen.low[second] : -3.0f;
-        s.v1 = seen.bounded ? seen.high[second] : 3.0f;
-        s.nearest = seen.bounded ? seen.nearest : 3.0e38f;
+        s.bounded = false;
+        s.u0 = s.v0 = -3.0f;
+        s.u1 = s.v1 = 3.0f;
+        s.nearest = 3.0e38f;
         return s;
     };
 """
 
 SIDE_SIXTEEN = r"""
-    auto larger = [](Sixteen x, Sixteen y) -> Sixteen { return x > y ? x : y; };
     auto touches = [&](const float* b, const Side& s) -> int {
         const Sixteen cu = *(const Sixteen*)b, cv = *(const Sixteen*)(b + 16);
         const Sixteen eu = *(const Sixteen*)(b + 32), ev = *(const Sixteen*)(b + 48), t0 = *(const Sixteen*)(b + 64);

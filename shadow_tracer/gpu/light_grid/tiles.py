@@ -34,6 +34,7 @@ GONE = -1.0e30
 # Bits of a key: group, cell of u, cell of v. Columns are cut at any ray, tiles too: cells are for sorting.
 U_BITS, V_BITS = 11, 10
 U_CELLS = 2**U_BITS
+LOOKUP = 256
 MOST_BLOCKS = 16  # of a column
 BLOCK_RAYS = 16 * TILE
 
@@ -67,6 +68,7 @@ class Tiles:
     order: wp.array(dtype=int)  # ray of each lane: [tile][32]
     live: wp.array(dtype=int)  # of each tile: bits of the rays that are to be tested
     covered: wp.array(dtype=int)  # of each tile: whether a triangle occludes all of it
+    lookup: wp.array(dtype=wp.vec2i)  # [group][cell of u]: first and last column that may touch it
     counts: wp.array(dtype=int)
 
 
@@ -93,6 +95,36 @@ def lay_out(number: int, first_ray: int, rays: int, column: int, block: int, til
     tiles.groups[number, COLUMNS_OF] = columns
     tiles.groups[number, FIRST_BLOCK] = block
     return (columns + 15) // 16 * 16
+
+
+@wp.func
+def lookup_cell(u: float, fit: wp.vec4) -> int:
+    """Cell of u in ``Tiles.lookup``: monotone, so what lies between two values lies between their cells."""
+    return int(wp.clamp((u - fit[0]) * fit[2] * (float(LOOKUP) / 4096.0), 0.0, float(LOOKUP - 1)))
+
+
+@wp.func
+def make_lookup(number: int, tiles: Tiles):
+    """``Tiles.lookup`` of group ``number`` from the boxes of its columns."""
+    columns = tiles.groups[number, COLUMNS_OF]
+    base = number * LOOKUP
+    for k in range(LOOKUP):
+        tiles.lookup[base + k] = wp.vec2i(columns, -1)
+    for c in range(columns):
+        column = tiles.groups[number, FIRST_COLUMN] + c
+        box = (column >> 4) * 16 * QUANTITIES + (column & 15)
+        low = lookup_cell(tiles.columns[box] - tiles.columns[box + 32], tiles.fit[number])
+        high = lookup_cell(tiles.columns[box] + tiles.columns[box + 32], tiles.fit[number])
+        at = tiles.lookup[base + high]
+        tiles.lookup[base + high] = wp.vec2i(wp.min(at[0], c), at[1])
+        at = tiles.lookup[base + low]
+        tiles.lookup[base + low] = wp.vec2i(at[0], wp.max(at[1], c))
+    for k in range(1, LOOKUP):
+        at = tiles.lookup[base + k]
+        tiles.lookup[base + k] = wp.vec2i(at[0], wp.max(at[1], tiles.lookup[base + k - 1][1]))
+        m = LOOKUP - 1 - k
+        at = tiles.lookup[base + m]
+        tiles.lookup[base + m] = wp.vec2i(wp.min(at[0], tiles.lookup[base + m + 1][0]), at[1])
 
 
 @wp.func
@@ -127,6 +159,7 @@ class TileBuffers:
         tiles.order = wp.empty(self.most_blocks * BLOCK_RAYS, dtype=int, device=device)
         tiles.live = wp.empty(self.most_blocks * 16, dtype=int, device=device)
         tiles.covered = wp.empty(self.most_blocks * 16, dtype=int, device=device)
+        tiles.lookup = wp.empty(groups * LOOKUP, dtype=wp.vec2i, device=device)
         tiles.counts = wp.zeros(3, dtype=int, device=device)
         self.tiles = tiles
 
@@ -134,5 +167,5 @@ class TileBuffers:
         """Bytes on the device."""
         tiles = self.tiles
         arrays = (tiles.fit, tiles.aligned, tiles.groups, tiles.columns, tiles.blocks, tiles.boxes, tiles.rays)
-        arrays += (self.cells, self.scratch, tiles.order, tiles.live, tiles.covered, tiles.counts)
+        arrays += (self.cells, self.scratch, tiles.order, tiles.live, tiles.covered, tiles.lookup, tiles.counts)
         return self.sort.nbytes() + sum(int(array.capacity) for array in arrays)
