@@ -1,84 +1,189 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Variant ``packed``: rays in equal tiles, triangles sorted into them."""
+"""Variant ``packed``: rays in equal tiles, triangles sorted into them. ``packed_scalar`` is what CUDA does, on any
+device."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
-from shadow_tracer.gpu.buffers import Change
+from shadow_tracer.gpu.buffers import Change, Slices
 from shadow_tracer.gpu.corners import Corners
-from shadow_tracer.gpu.light_grid import binning_wide, packing_wide
+from shadow_tracer.gpu.light_grid import binning, binning_wide, packing_wide
+from shadow_tracer.gpu.light_grid.packing import Packer
 from shadow_tracer.gpu.light_grid.tiles import TileBuffers
+from shadow_tracer.gpu.light_space import FACES
 from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.triangle_planes import Occluders
 from shadow_tracer.gpu.triangles import Context
 
-# Entries that are gathered before they are traced, per place for a tile.
+# Entries that are gathered on the CPU before they are traced, per place for a tile.
 _ENTRIES_PER_TILE = 2
+_MOST_ITEMS = 65536
+# Threads that share lists whose length the host does not know.
+_THREADS_CUDA = 131072
 
 
 class PackedGrid:
-    """The pipeline's variant ``packed``; see ``tiles.py``."""
-
-    recordable = True
+    """The pipeline's variants ``packed`` and ``packed_scalar``; see ``tiles.py``."""
 
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
-        frame = context.frame
-        self.lights_together = frame.bounds.max_lights
+        self.lights_together = context.frame.bounds.max_lights
         self._participants = Participants(context)
         self._corners = Corners(context)
-        self._buffers = TileBuffers(frame)
-        places = 16 * self._buffers.most_blocks
-        natural = max(4096, _ENTRIES_PER_TILE * places)
-        entries = binning_wide.EntryList()
-        entries.capacity = min(natural, frame.bounds.grid_entries)
-        entries.bounded = int(entries.capacity < natural)
-        entries.tile = wp.empty(entries.capacity, dtype=int, device=frame.device)
-        entries.record = wp.empty(entries.capacity, dtype=int, device=frame.device)
-        entries.sorted = wp.empty(entries.capacity, dtype=int, device=frame.device)
-        entries.start = wp.empty(places + 1, dtype=int, device=frame.device)
-        entries.total = wp.empty(places, dtype=int, device=frame.device)
-        entries.count = wp.zeros(4, dtype=int, device=frame.device)
-        self._entries = entries
+        self._buffers = TileBuffers(context.frame)
+        wide = context.frame.device.is_cpu and variant == "packed"
+        self._way: _Wide | _Scalar = (_Wide if wide else _Scalar)(context, self._buffers)
+        self.recordable = True
 
     def update(self, change: Change) -> None:
         """Nothing is kept of the scene but what the shared buffers keep."""
 
     def trace(self, work: Pass) -> None:
         """Pack the rays of the pass, sort the triangles into their tiles, test."""
-        context, buffers = self._context, self._context.frame
-        stages, device, tiles = context.stages, buffers.device, self._buffers.tiles
-        tiles.lights, tiles.samples = len(work.lights), buffers.count
-        lights, states = buffers.lights_from(work.first), buffers.states_of(work.first, len(work.lights))
+        context, count = self._context, len(work.lights)
+        stages, tiles = context.stages, self._buffers.tiles
+        tiles.lights, tiles.samples = count, context.frame.count
         with stages.stage("setup"):
             for light in work.lights:
                 if context.records.prepare(light):
                     self._corners.make(light)
-        with stages.stage("pack"):
-            self._participants.choose(work)
-            pack = self._buffers
-            inputs = [lights, buffers.rays, states, self._participants.group, tiles]
-            inputs += [pack.cells, pack.scratch, pack.sort.keys, pack.sort.values]
-            wp.launch(packing_wide.pack_wide, dim=1, inputs=inputs, device=device)
+        if work.part == 0:
+            with stages.stage("pack"):
+                self._participants.choose(work)
+                self._way.pack(work, self._participants.group)
         with stages.stage("trace"):
             occluders = Occluders()
             occluders.count = context.scene.triangle_count
             occluders.triangles = context.scene.triangles
-            occluders.corners = self._corners.of(work.first, len(work.lights))
-            occluders.records = context.records.of(work.first, len(work.lights))
-            answers = self._participants.answers(work)
-            inputs = [lights, context.scene.vertex_count, tiles, occluders, self._entries, answers]
-            wp.launch(binning_wide.bin_wide, dim=1, inputs=inputs, device=device)
-            self._participants.finish(work)
+            occluders.corners = self._corners.of(work.first, count)
+            occluders.records = context.records.of(work.first, count)
+            self._way.trace(work, occluders, self._participants.answers(work))
+            if work.part == 0:
+                self._participants.finish(work)
 
     def learn(self, counters: dict[str, int]) -> None:
         """Nothing to adapt."""
 
     def nbytes(self) -> int:
         """Bytes on the device."""
+        return sum(part.nbytes() for part in (self._participants, self._corners, self._buffers, self._way))
+
+
+class _Wide:
+    """One thread and its vector registers."""
+
+    def __init__(self, context: Context, buffers: TileBuffers) -> None:
+        self._context, self._buffers = context, buffers
+        device, bound = context.frame.device, context.frame.bounds.grid_entries
+        places = 16 * buffers.most_blocks
+        natural = max(4096, _ENTRIES_PER_TILE * places)
+        entries = binning_wide.EntryList()
+        entries.capacity = min(natural, bound)
+        entries.bounded = int(bound < natural)
+        entries.tile = wp.empty(entries.capacity, dtype=int, device=device)
+        entries.record = wp.empty(entries.capacity, dtype=int, device=device)
+        entries.sorted = wp.empty(entries.capacity, dtype=int, device=device)
+        entries.start = wp.empty(places + 1, dtype=int, device=device)
+        entries.total = wp.empty(places, dtype=int, device=device)
+        entries.count = wp.zeros(2, dtype=int, device=device)
+        self._entries = entries
+
+    def pack(self, work: Pass, group: wp.array) -> None:
+        frame, buffers = self._context.frame, self._buffers
+        states = frame.states_of(work.first, len(work.lights))
+        inputs = [frame.lights_from(work.first), frame.rays, states, group, buffers.tiles, buffers.cells]
+        inputs += [buffers.scratch, buffers.sort.keys, buffers.sort.values]
+        wp.launch(packing_wide.pack_wide, dim=1, inputs=inputs, device=frame.device)
+
+    def trace(self, work: Pass, occluders: Occluders, answers: Any) -> None:
+        frame, vertices = self._context.frame, self._context.scene.vertex_count
+        inputs = [frame.lights_from(work.first), vertices, self._buffers.tiles, occluders, self._entries, answers]
+        wp.launch(binning_wide.bin_wide, dim=1, inputs=inputs, device=frame.device)
+
+    def nbytes(self) -> int:
         entries = self._entries
         arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
-        parts = (self._participants, self._corners, self._buffers)
-        return sum(part.nbytes() for part in parts) + sum(int(array.capacity) for array in arrays)
+        return sum(int(array.capacity) for array in arrays)
+
+
+class _Scalar:
+    """A thread per ray, tile or triangle."""
+
+    def __init__(self, context: Context, buffers: TileBuffers) -> None:
+        self._context, self._buffers = context, buffers
+        frame = context.frame
+        device, capacity, triangles = frame.device, frame.bounds.grid_entries, frame.bounds.max_triangles
+        self._packer = Packer(buffers, frame.bounds.max_lights, device)
+        self._slices = Slices()
+        places = 16 * buffers.most_blocks
+        items = min(_MOST_ITEMS, 64 * triangles)
+        bins = binning.Bins()
+        bins.capacity = capacity
+        bins.items = wp.empty(items, dtype=wp.vec4i, device=device)
+        bins.item_count = wp.zeros(1, dtype=int, device=device)
+        bins.itemised = wp.empty(triangles, dtype=int, device=device)
+        bins.offsets = wp.empty(triangles + items, dtype=wp.int64, device=device)
+        bins.tile = wp.empty(capacity, dtype=int, device=device)
+        bins.record = wp.empty(capacity, dtype=int, device=device)
+        bins.rank = wp.empty(capacity, dtype=int, device=device)
+        bins.sorted = wp.empty(capacity, dtype=int, device=device)
+        bins.length = wp.empty(places, dtype=int, device=device)
+        bins.start = wp.empty(places, dtype=int, device=device)
+        bins.total = wp.empty(places, dtype=int, device=device)
+        bins.chunks = wp.empty(places + 1, dtype=int, device=device)
+        bins.work = wp.empty(places + capacity // 256, dtype=wp.vec2i, device=device)
+        bins.emitted = wp.zeros(1, dtype=int, device=device)
+        self._bins = bins
+
+    def pack(self, work: Pass, group: wp.array) -> None:
+        frame = self._context.frame
+        states = frame.states_of(work.first, len(work.lights))
+        self._packer.pack(frame.lights_from(work.first), frame.rays, states, group)
+
+    def trace(self, work: Pass, occluders: Occluders, answers: Any) -> None:
+        frame, tiles, bins = self._context.frame, self._buffers.tiles, self._bins
+        device, items = frame.device, bins.items.shape[0]
+        triangles = occluders.count * tiles.lights
+        units = triangles + items
+        blocks = -(-tiles.lights * tiles.samples // 512) + FACES * tiles.lights
+        places = 16 * blocks
+        lights, vertices = frame.lights_from(work.first), self._context.scene.vertex_count
+
+        def launch(kernel: Any, dim: int, *inputs: Any) -> None:
+            wp.launch(kernel, dim=dim, inputs=inputs, device=device)
+
+        def bin(emit: int) -> None:
+            window = wp.int64(work.part * bins.capacity)
+            for kernel, dim in ((binning.bin_triangles, triangles), (binning.bin_items, items)):
+                launch(kernel, dim, lights, vertices, emit, window, tiles, occluders, bins, answers)
+
+        if work.part == 0:
+            bins.item_count.zero_()
+            launch(binning.itemise_triangles, triangles, lights, vertices, tiles, occluders, bins, answers)
+            bin(0)
+            offsets = self._slices(bins.offsets, 0, units)
+            wp.utils.array_scan(offsets, offsets, inclusive=True)
+            launch(binning.write_covered, places, tiles, answers)
+        launch(binning.start_part, 1, units, work.part, bins, frame.parts_of[work.first], answers)
+        bins.length.zero_()
+        bin(1)
+        length, start = self._slices(bins.length, 0, places), self._slices(bins.start, 0, places)
+        wp.utils.array_scan(length, start, inclusive=False)
+        threads = 1 if device.is_cpu else _THREADS_CUDA
+        launch(binning.scatter_entries, threads, threads, bins)
+        launch(binning.count_chunks, places + 1, work.part, places, bins, answers)
+        chunks = self._slices(bins.chunks, 0, places + 1)
+        wp.utils.array_scan(chunks, chunks, inclusive=False)
+        launch(binning.list_chunks, places, bins)
+        warps = 1 if device.is_cpu else _THREADS_CUDA // 32
+        launch(binning.trace_chunks, 32 * warps, warps, places, tiles, occluders, bins, answers)
+
+    def nbytes(self) -> int:
+        bins = self._bins
+        arrays = (bins.items, bins.item_count, bins.itemised, bins.offsets, bins.tile, bins.record, bins.rank)
+        arrays += (bins.sorted, bins.length, bins.start, bins.total, bins.chunks, bins.work, bins.emitted)
+        return self._packer.nbytes() + sum(int(array.capacity) for array in arrays)

@@ -194,6 +194,7 @@ _KEYS = (
 """
 )
 
+
 @wp.func_native("#if !defined(__CUDA_ARCH__)\n" + _MEASURE + "\n#endif\n")
 def measure(place: int, rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), tiles: Tiles):
     """Frustum and extents of the rays of the light at ``place``."""

@@ -33,7 +33,7 @@ QUANTITIES = 6
 GONE = -1.0e30
 # Bits of a key: group, cell of u, cell of v. Columns are cut at any ray, tiles too: cells are for sorting.
 U_BITS, V_BITS = 11, 10
-U_CELLS = 2**U_BITS
+U_CELLS, V_CELLS = 2**U_BITS, 2**V_BITS
 LOOKUP = 256
 MOST_BLOCKS = 16  # of a column
 BLOCK_RAYS = 16 * TILE
