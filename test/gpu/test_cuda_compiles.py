@@ -25,6 +25,11 @@ MODULES = (
     "cone_hierarchy.cones",
     "cone_hierarchy.occluders",
     "cone_hierarchy.breadth_first",
+    "light_grid.binning_wide",
+    "light_grid.binning",
+    "light_grid.tracing",
+    "light_grid.packing_wide",
+    "light_grid.packing",
 )
 
 MOST_BYTES = 300_000  # 189,000 are the most today; a loop over six cube faces that gets unrolled makes far more

@@ -10,7 +10,7 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import Change, Slices
 from shadow_tracer.gpu.corners import Corners
-from shadow_tracer.gpu.light_grid import binning, binning_wide, packing_wide
+from shadow_tracer.gpu.light_grid import binning, binning_wide, packing_wide, tracing
 from shadow_tracer.gpu.light_grid.packing import Packer
 from shadow_tracer.gpu.light_grid.tiles import TileBuffers
 from shadow_tracer.gpu.light_space import FACES
@@ -167,20 +167,20 @@ class _Scalar:
             bin(0)
             offsets = self._slices(bins.offsets, 0, units)
             wp.utils.array_scan(offsets, offsets, inclusive=True)
-            launch(binning.write_covered, places, tiles, answers)
-        launch(binning.start_part, 1, units, work.part, bins, frame.parts_of[work.first], answers)
+            launch(tracing.write_covered, places, tiles, answers)
+        launch(tracing.start_part, 1, units, work.part, bins, frame.parts_of[work.first], answers)
         bins.length.zero_()
         bin(1)
         length, start = self._slices(bins.length, 0, places), self._slices(bins.start, 0, places)
         wp.utils.array_scan(length, start, inclusive=False)
         threads = 1 if device.is_cpu else _THREADS_CUDA
-        launch(binning.scatter_entries, threads, threads, bins)
-        launch(binning.count_chunks, places + 1, work.part, places, bins, answers)
+        launch(tracing.scatter_entries, threads, threads, bins)
+        launch(tracing.count_chunks, places + 1, work.part, places, bins, answers)
         chunks = self._slices(bins.chunks, 0, places + 1)
         wp.utils.array_scan(chunks, chunks, inclusive=False)
-        launch(binning.list_chunks, places, bins)
+        launch(tracing.list_chunks, places, bins)
         warps = 1 if device.is_cpu else _THREADS_CUDA // 32
-        launch(binning.trace_chunks, 32 * warps, warps, places, tiles, occluders, bins, answers)
+        launch(tracing.trace_chunks, 32 * warps, warps, places, tiles, occluders, bins, answers)
 
     def nbytes(self) -> int:
         bins = self._bins

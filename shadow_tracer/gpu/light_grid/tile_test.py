@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A triangle against boxes of tiles: conservative in both directions.
 
-With the same stored planes as the shadow test (``triangle_planes.py``), on a face of a light: an edge plane is A u + B v
-+ C, the triangle's own plane P is linear in (u, v, t). A box is rejected if a plane is negative all over it by more than
-its pad, or if the triangle's bounds miss it; the triangle covers the box if every plane is positive all over it by more
-than its pad. What the filter calls *maybe* or *yes* for a ray can therefore not be rejected, and what is covered is a
-*yes* for every ray. Pads are those of ``light_space.py``, with M = 6 + 2.001 max |t|.
+The planes are those that the shadow test has stored (``triangle_planes.py``): on a face of a light an edge plane is A u
++ B v + C, and the triangle's own plane P is linear in (u, v, t). A box is rejected if a plane is negative all over it
+by more than its pad, or if the triangle's bounds miss it; the triangle covers the box if every plane is positive all
+over it by more than its pad. So a box that holds an occluded ray is not rejected, and every ray of a covered box is
+occluded, the light's position, poles and seams do not matter. Pads are those of ``light_space.py``, with M = 6 + 2.001
+max |t|.
 """
 
 from __future__ import annotations
