@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two scenes made by code, for benchmarks and tests: robots in a street, and a museum full of small triangles.
+"""Three scenes made by code, for benchmarks and tests: robots in a street, a museum full of small triangles, and a
+teapot in a stadium.
 
 ``robots`` is what the papers call so: few very large and very thin triangles (ground, walls, poles, wires) and clusters
 of small ones. ``museum`` is as incoherent as can be: independent small triangles in a closed room, so that neighbouring
-pixels see things far apart. Both move, both take a wished number of triangles, both are the same on every machine
-(numpy and a fixed seed). Metres, z is up.
+pixels see things far apart. ``stadium`` has nearly all its triangles, of 5 mm, in one place of a bowl of 300 m: what
+breaks grids of equal cells. All move, all take a wished number of triangles, all are the same on every machine (numpy
+and a fixed seed). Metres, z is up.
 """
 
 from __future__ import annotations
@@ -231,4 +233,106 @@ def museum(triangles: int = 75_012, frames: int = 2) -> Procedural:
     return Procedural("museum", np.stack(positions), faces, eyes, lights)
 
 
-SCENES: dict[str, Callable[..., Procedural]] = {"robots": robots, "museum": museum}
+# --- stadium ---
+
+_EDGE = 0.005
+_POT = np.array([4.0, -3.0, 0.0])  # where the pot stands on the pitch
+
+
+def _torus(around: int, along: int, radius: float, thickness: float) -> Part:
+    """A closed ring in the plane y = 0: 2 around along triangles."""
+    phi, theta = 2.0 * np.pi * np.arange(along) / along, 2.0 * np.pi * np.arange(around) / around
+    out = radius + thickness * np.cos(theta)
+    x, z = np.outer(np.cos(phi), out), np.outer(np.sin(phi), out)
+    y = np.broadcast_to(thickness * np.sin(theta), x.shape)
+    i, j = (k.reshape(-1) for k in np.mgrid[0:along, 0:around])
+    i_next, j_next = (i + 1) % along, (j + 1) % around
+    a, b, c, d = i * around + j, i_next * around + j, i_next * around + j_next, i * around + j_next
+    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return np.stack([x, y, z], axis=-1).reshape(-1, 3), triangles.astype(np.int32)
+
+
+def _teapot(triangles: int) -> tuple[Part, float]:
+    """At most ``triangles`` triangles with edges of about ``_EDGE``, standing on the origin: body, knob, handle and
+    spout, each closed. The more triangles, the larger the pot; its radius comes with it."""
+    rings = max(4, int(np.sqrt(triangles / 6.05)))
+    radius = rings * _EDGE / np.pi * 1.1
+    small = max(3, rings // 3)
+    body, knob = _ellipsoid(rings, np.array([1.0, 1.0, 0.8]) * radius), _ellipsoid(small, [0.2 * radius] * 3)
+    handle, spout = _torus(small, 2 * rings, 0.5 * radius, 0.1 * radius), _ellipsoid(small, [0.1 * radius] * 3)
+    slanted = spout[0] * [1.0, 1.0, 6.0]
+    slanted[:, 0] += 1.1 * slanted[:, 2]
+    middle = 0.8 * radius
+    parts = [
+        (body[0] + [0.0, 0.0, middle], body[1]),
+        (knob[0] + [0.0, 0.0, middle + 0.9 * radius], knob[1]),
+        (handle[0] + [-1.0 * radius, 0.0, middle], handle[1]),
+        (slanted + [0.9 * radius, 0.0, middle + 0.1 * radius], spout[1]),
+    ]
+    return _joined(parts), radius
+
+
+def _bowl(around: int, rows: int) -> Part:
+    """Terraces from 60 m to 150 m about the origin, a ring of roof over the last of them, and the pitch: two
+    triangles."""
+    tread, rise = 90.0 / rows, 40.0 / rows
+    profile = [(60.0, 0.0)]
+    for row in range(rows):
+        profile += [(60.0 + tread * row, rise * (row + 1)), (60.0 + tread * (row + 1), rise * (row + 1))]
+    phi = 2.0 * np.pi * np.arange(around) / around
+    ring = np.stack([np.cos(phi), np.sin(phi)], axis=1)
+    parts = [_box((-155.0, -155.0, -1.0), (155.0, 155.0, 0.0))]
+    j, k = np.arange(around), (np.arange(around) + 1) % around
+    for run in (profile, [(105.0, 52.0), (152.0, 58.0)]):
+        vertices = np.concatenate([np.column_stack([r * ring, np.full(around, z)]) for r, z in run])
+        triangles = [np.stack([i * around + j, i * around + k, (i + 1) * around + k], 1) for i in range(len(run) - 1)]
+        triangles += [
+            np.stack([i * around + j, (i + 1) * around + k, (i + 1) * around + j], 1) for i in range(len(run) - 1)
+        ]
+        parts.append((vertices, np.concatenate(triangles).astype(np.int32)))
+    for x, y in ((-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)):
+        parts.append(_box((x * 108.0 - 0.4, y * 108.0 - 0.4, 0.0), (x * 108.0 + 0.4, y * 108.0 + 0.4, 95.0)))
+    return _joined(parts)
+
+
+@lru_cache(maxsize=4)
+def stadium(triangles: int = 70_000, frames: int = 2) -> Procedural:
+    """About ``triangles`` triangles, nine of ten of them 5 mm wide: a teapot that turns, 3 degrees per frame, on the
+    pitch of a stadium 300 m wide.
+
+    ``far``, ``star`` and ``sun`` are the same light, 50 km, 1e8 m and infinitely far away.
+    """
+    rows = max(2, int(np.sqrt(triangles / 10.0 / 8.0)))
+    bowl = _bowl(2 * rows, rows)
+    pot, radius = _teapot(triangles - len(bowl[1]))
+    positions = []
+    for frame in range(frames):
+        angle = np.radians(20.0 + 3.0 * frame)
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+        joined, faces = _joined([bowl, (pot[0] @ turn.T + _POT + [0.0, 0.0, 1e-3], pot[1])])
+        positions.append(joined)
+
+    def near(x: float, y: float, z: float) -> tuple[float, float, float]:
+        """Radii of the pot from where it stands."""
+        place = _POT + radius * np.array([x, y, z])
+        return float(place[0]), float(place[1]), float(place[2])
+
+    eyes = {
+        "pot": Eye(near(-2.5, -5.0, 3.0), near(0.0, 0.0, 0.8), 0.5),
+        "touchline": Eye(near(5.0, 4.0, 1.5), near(-3.0, -4.0, 1.4), 1.6),
+        "stand": Eye((-140.0, 20.0, 46.0), (60.0, -10.0, 0.0), 1.6),
+    }
+    sun = np.array([0.48, -0.6, -0.64])  # a unit vector
+    middle = np.array(near(0.0, 0.0, 0.8))
+    lights: dict[str, Light] = {
+        "inside": PointLight("inside", tuple(middle + [0.48, -0.6, 0.64])),  # one metre from the pot
+        "outside": PointLight("outside", tuple(middle + [96.0, 72.0, 160.0])),  # two hundred
+        "far": PointLight("far", tuple(middle - 5e4 * sun)),
+        "star": PointLight("star", tuple(middle - 1e8 * sun)),
+        "sun": DirectionalLight("sun", tuple(sun)),
+        "spot": SpotLight("spot", (-108.0, 108.0, 97.0), tuple(middle - [-108.0, 108.0, 97.0]), 0.12),
+    }
+    return Procedural("stadium", np.stack(positions), faces, eyes, lights)
+
+
+SCENES: dict[str, Callable[..., Procedural]] = {"robots": robots, "museum": museum, "stadium": stadium}
