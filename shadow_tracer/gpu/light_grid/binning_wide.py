@@ -153,9 +153,29 @@ _BIN = (
         list.record.data[slot] = record;
         ++entries;
     };
+    auto visit_block = [&](const Side& side, int block, int record) {
+        int full = 0;
+        int hit = meets(tiles.boxes.data + 96 * (size_t)block, side, full);
+        nodes += 16;
+        for (int left = full; left; left &= left - 1)
+            accept(16 * block + __builtin_ctz(left));
+        hit &= ~full;
+        const int n = __builtin_popcount(hit), waiting = list.count.data[0];
+        if (waiting + n > list.capacity) {
+            for (; hit; hit &= hit - 1)
+                enter(16 * block + __builtin_ctz(hit), record);
+            return;
+        }
+        int *to_tile = list.tile.data + waiting, *to_record = list.record.data + waiting;
+        for (; hit; hit &= hit - 1) {
+            *to_tile++ = 16 * block + __builtin_ctz(hit);
+            *to_record++ = record;
+        }
+        list.count.data[0] = waiting + n;
+        entries += n;
+    };
     auto visit = [&](const Side& side, int group, int record) {
         const int *of = groups + 6 * group, length = of[2] / 512, first = of[3], first_block = of[5];
-        const int all_blocks = (of[1] + 511) / 512;
         const wp::vec4 grid = tiles.fit.data[group];
         auto cell = [&](float u) -> int {
             const float x = (u - grid[0]) * grid[2] * 0.0625f;
@@ -163,56 +183,41 @@ _BIN = (
         };
         const int from = tiles.lookup.data[256 * (size_t)group + cell(side.u0)][0];
         const int to = tiles.lookup.data[256 * (size_t)group + cell(side.u1)][1];
-        unsigned short mask[64], whole[64];
-        // A triangle that touches few columns is small: its bounds say nearly all.
-        for (int base = from / 16; base <= to / 16 && from <= to; base += 64) {
-            const int n = to / 16 - base < 64 ? to / 16 - base + 1 : 64;
-            int touched = 0;
-            for (int k = 0; k < n; ++k) {
-                mask[k] = touches(tiles.columns.data + 96 * (size_t)(first / 16 + base + k), side);
-                whole[k] = 0;
-                touched += __builtin_popcount(mask[k]);
+        if (side.bounded && to - from < 4) {
+            // A triangle that touches few columns is small: its bounds say nearly all.
+            for (int column = from; column <= to; ++column) {
+                int inner = touches(tiles.blocks.data + 96 * (size_t)(first + column), side);
+                nodes += 16;
+                for (; inner; inner &= inner - 1)
+                    visit_block(side, first_block + column * length + __builtin_ctz(inner), record);
             }
-            nodes += 16 * n;
-            const bool large = !side.bounded || touched > 4;
-            if (large) {
-                for (int k = 0; k < n; ++k) {
-                    int covered = 0;
-                    if (mask[k])
-                        mask[k] = meets(tiles.columns.data + 96 * (size_t)(first / 16 + base + k), side, covered);
-                    whole[k] = covered;
+            return;
+        }
+        const int all_blocks = (of[1] + 511) / 512;
+        for (int sixteen = from / 16; sixteen <= to / 16 && from <= to; ++sixteen) {
+            int whole = 0;
+            int some = meets(tiles.columns.data + 96 * (size_t)(first / 16 + sixteen), side, whole);
+            nodes += 16;
+            for (; some; some &= some - 1) {
+                const int lane = __builtin_ctz(some), column = 16 * sixteen + lane, block0 = column * length;
+                const int blocks = all_blocks - block0 < length ? all_blocks - block0 : length;
+                if (whole >> lane & 1) {
+                    for (int k = 0; k < 16 * blocks; ++k)
+                        accept(16 * (first_block + block0) + k);
+                    continue;
+                }
+                int covered = 0;
+                int inner = meets(tiles.blocks.data + 96 * (size_t)(first + column), side, covered);
+                nodes += 16;
+                for (; inner; inner &= inner - 1) {
+                    const int b = __builtin_ctz(inner), block = first_block + block0 + b;
+                    if (covered >> b & 1)
+                        for (int k = 0; k < 16; ++k)
+                            accept(16 * block + k);
+                    else
+                        visit_block(side, block, record);
                 }
             }
-            for (int k = 0; k < n; ++k)
-                for (int some = mask[k]; some; some &= some - 1) {
-                    const int lane = __builtin_ctz(some), column = 16 * (base + k) + lane;
-                    const int block0 = column * length;
-                    const int blocks = all_blocks - block0 < length ? all_blocks - block0 : length;
-                    if (whole[k] >> lane & 1) {
-                        for (int tile = 16 * (first_block + block0); tile < 16 * (first_block + block0 + blocks); ++tile)
-                            accept(tile);
-                        continue;
-                    }
-                    const float* boxes = tiles.blocks.data + 96 * (size_t)(first + column);
-                    int covered = 0;
-                    int inner = large ? meets(boxes, side, covered) : touches(boxes, side);
-                    nodes += blocks;
-                    for (; inner; inner &= inner - 1) {
-                        const int b = __builtin_ctz(inner), block = first_block + block0 + b;
-                        if (covered >> b & 1) {
-                            for (int tile = 16 * block; tile < 16 * block + 16; ++tile)
-                                accept(tile);
-                            continue;
-                        }
-                        int full = 0;
-                        int hit = meets(tiles.boxes.data + 96 * (size_t)block, side, full);
-                        nodes += 16;
-                        for (int left = full; left; left &= left - 1)
-                            accept(16 * block + __builtin_ctz(left));
-                        for (hit &= ~full; hit; hit &= hit - 1)
-                            enter(16 * block + __builtin_ctz(hit), record);
-                    }
-                }
         }
     };
     for (int first = 0; first < occluders.count; first += 16) {
