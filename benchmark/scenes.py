@@ -64,6 +64,10 @@ _PROCEDURAL = (
     ("museum", "centre", "inside"),
     ("museum", "centre", "corner"),
     ("museum", "wallview", "inside"),
+    ("stadium", "pot", "inside"),
+    ("stadium", "pot", "outside"),
+    ("stadium", "stand", "inside"),
+    ("stadium", "stand", "sun"),
 )
 
 # What is measured when nothing is asked for.
@@ -75,6 +79,7 @@ STANDARD = (
     "workshop",
     "robots/corridor/inside",
     "museum/room/inside",
+    "stadium/pot/inside",
 )
 
 

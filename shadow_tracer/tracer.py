@@ -131,9 +131,8 @@ class ShadowTracer:
         bounds: capacities of all buffers, which are allocated here and never grow.
         front_face_culling: see the property of that name.
         graphs: whether the launches of a frame are recorded and replayed as one where the pipeline allows it
-            (``cone_hierarchy/linear`` on CUDA does); :attr:`Frame.stages` then has one stage ``graph`` for all of
-            them. None is yes on CUDA and no on the CPU, where recording is an experiment of Warp's and
-            ``linear_scalar`` the one variant that allows it.
+            (``cone_hierarchy/linear`` and ``light_grid`` do); :attr:`Frame.stages` then has one stage ``graph`` for
+            all of them. None is yes on CUDA and no on the CPU, where recording is an experiment of Warp's.
 
     Raises:
         ValueError: an unknown name, the message lists the known ones; or ``front_face_culling`` is not a bool.

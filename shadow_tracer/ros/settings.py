@@ -72,6 +72,7 @@ class Settings:
     max_rays: int
     max_lights: int
     queue_capacity: int
+    grid_entries: int
     diagnostics_period: float
 
     @property
@@ -82,6 +83,7 @@ class Settings:
             max_rays=self.max_rays,
             max_lights=self.max_lights,
             queue_capacity=self.queue_capacity,
+            grid_entries=self.grid_entries,
         )
 
     @property

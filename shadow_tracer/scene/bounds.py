@@ -14,14 +14,16 @@ class Bounds:
     """Capacities of every device buffer, fixed when a tracer is made. All are positive integers.
 
     Args:
-        max_triangles: triangles of all meshes together; vertices are bounded by three times as many.
-        max_rays: pixels of a depth image; :meth:`ShadowTracer.occluded` works in pieces of this size.
+        max_triangles: triangles of all meshes together; vertices are bounded by three times as many. Room for several
+            times the triangles of the scene keeps what is known of them from several lights.
+        max_rays: pixels of a depth image; :meth:`ShadowTracer.occluded` works in pieces of this size. Room for several
+            images lets ``light_grid`` trace as many lights together.
         max_lights: lights of one frame.
         queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision; the node
             queues of the breadth-first variants have an eighth of it for each level. A smaller queue costs further
             passes (counted in ``overflow_passes``), never an answer.
-        grid_entries: (tile, triangle) entries of pipelines that sort triangles into tiles; none of the present ones
-            does. Too few will cost passes, never an answer.
+        grid_entries: (tile, triangle) entries of pipeline ``light_grid``. Too few cost passes (counted in
+            ``overflow_passes``), never an answer.
 
     Raises:
         ValueError: a capacity is not a positive integer or too large to count with; the message names it and its limit.

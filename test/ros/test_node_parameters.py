@@ -60,6 +60,7 @@ def test_a_change_shows_in_the_next_mask(rig: Rig, change: dict[str, Any]) -> No
         ("bounds__max_rays", 5, "bounds.max_rays is read-only"),
         ("bounds__max_lights", 5, "bounds.max_lights is read-only"),
         ("bounds__queue_capacity", 5, "bounds.queue_capacity is read-only"),
+        ("bounds__grid_entries", 5, "bounds.grid_entries is read-only"),
         ("bias__constant", -1.0, "out of range"),
         ("bias__constant", math.nan, "out of range"),
         ("bias__constant", "small", "Wrong parameter type"),

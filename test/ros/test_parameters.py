@@ -29,7 +29,7 @@ def test_defaults_make_settings() -> None:
 
 
 BAD = [
-    ("pipeline", "cone", "pipeline: expected string (cone_hierarchy, mesh_bvh, brute_force), got 'cone'"),
+    ("pipeline", "cone", "pipeline: expected string (cone_hierarchy, light_grid, mesh_bvh, brute_force), got 'cone'"),
     ("pipeline", 3, "pipeline: expected string"),
     ("variant", "fast", "variant: expected string"),
     ("variant", "float64", "variant: expected one of linear, linear_scalar, precise, precise_sorted"),
@@ -65,7 +65,8 @@ BAD = [
     ("bounds.max_triangles", 0, "bounds.max_triangles: expected integer (1 to 238609294), got 0"),
     ("bounds.max_rays", 2**40, "bounds.max_rays: expected integer"),
     ("bounds.max_lights", 65, "bounds.max_lights: expected integer (1 to 64), got 65"),
-    ("bounds.queue_capacity", -5, "bounds.queue_capacity: expected integer"),
+    ("bounds.queue_capacity", 2**30 + 1, "bounds.queue_capacity: expected integer (1 to 1073741824)"),
+    ("bounds.grid_entries", 0, "bounds.grid_entries: expected integer (1 to 2147483647), got 0"),
     ("diagnostics_period", 0.0, "diagnostics_period: expected double (0.1 to 1 s), got 0.0"),
     ("lights.lamp.type", "laser", "lights.lamp.type: expected string (point, spot, directional), got 'laser'"),
     ("lights.lamp.enabled", "yes", "lights.lamp.enabled: expected bool, got 'yes'"),
