@@ -68,7 +68,7 @@ REGISTRY: dict[str, PipelineEntry] = {
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
     ),
     "light_grid": PipelineEntry(
-        ("packed",),
+        ("packed", "packed_scalar", "spherical"),
         "shadow_tracer.gpu.light_grid.pipeline",
         "make",
         "triangles in tiles of directions around the light, rays sorted into them",

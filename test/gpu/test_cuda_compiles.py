@@ -28,6 +28,9 @@ MODULES = (
     "light_grid.binning_wide",
     "light_grid.binning",
     "light_grid.tracing",
+    "light_grid.spherical_rays",
+    "light_grid.spherical_cells",
+    "light_grid.spherical",
     "light_grid.packing_wide",
     "light_grid.packing",
 )

@@ -13,8 +13,8 @@ import warp as wp
 
 from shadow_tracer.gpu.buffers import ENTRIES, LARGEST_TILE, OVERFLOWS, PASSES
 from shadow_tracer.gpu.light_frame import LightFrame
-from shadow_tracer.gpu.light_grid.front_wide import FRONT
-from shadow_tracer.gpu.light_grid.tile_test import SIDE, SIDE_SIXTEEN
+from shadow_tracer.gpu.light_grid.front_wide import BOUNDS, TAKE
+from shadow_tracer.gpu.light_grid.tile_test import SIDE_SIXTEEN
 from shadow_tracer.gpu.light_grid.tiles import Tiles
 from shadow_tracer.gpu.light_space import LightSpace, space_of
 from shadow_tracer.gpu.participants import Answers
@@ -134,11 +134,11 @@ _TRACE = (
 
 _BIN = (
     TRIANGLE
-    + SIDE
     + _TRACE
     + "const bool aligned = tiles.aligned.data[place] != 0;\n"
-    + FRONT
+    + BOUNDS
     + SIDE_SIXTEEN
+    + TAKE
     + r"""
     wp::int64 nodes = 0, entries = 0;
     const int* groups = tiles.groups.data;
@@ -221,23 +221,21 @@ _BIN = (
         }
     };
     for (int first = 0; first < occluders.count; first += 16) {
-        gather(first);
+        const int all = gather(first);
+        bool taken = false;
         for (int face = 0; face < 6; ++face) {
             const int group = 6 * place + face;
             if (groups[6 * group + 1] == 0)
                 continue;
-            for (int some = bound(face); some; some &= some - 1) {
-                const int j = __builtin_ctz(some), record = first_record + first + j;
-                Planes it;
-                if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)record, it))
-                    continue;
-                Side side = turn(it, face);
-                if (bounded >> j & 1) {
-                    side.bounded = true;
-                    side.u0 = low_u[j], side.u1 = high_u[j], side.v0 = low_v[j], side.v1 = high_v[j];
-                    side.nearest = nearest[j];
-                }
-                visit(side, group, record);
+            int some = bound(face);
+            if (!some)
+                continue;
+            if (!taken)
+                take(first_record + first, __builtin_popcount(all));
+            taken = true;
+            for (some &= ~silent; some; some &= some - 1) {
+                const int j = __builtin_ctz(some);
+                visit(side(face, j), group, first_record + first + j);
             }
         }
     }

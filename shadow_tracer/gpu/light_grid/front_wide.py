@@ -8,10 +8,10 @@ from __future__ import annotations
 # `place` of the light, `aligned`, and `first_corner` of the light's corners; defines:
 # gather(t): takes up triangles t to t + 15 (the last one repeated), returns those there are as bits;
 # bound(face): those of them that may touch the face, as bits, their bounds in `low_u` etc., `bounded` as bits.
-FRONT = r"""
+BOUNDS = r"""
     float corner[3][4][16];
     Sixteen reach;
-    Sixteen low_u, high_u, low_v, high_v, nearest;
+    float low_u[16], high_u[16], low_v[16], high_v[16], nearest[16];
     int bounded = 0, faces_of[6];
     auto larger = [](Sixteen x, Sixteen y) -> Sixteen { return x > y ? x : y; };
     auto smaller = [](Sixteen x, Sixteen y) -> Sixteen { return x < y ? x : y; };
@@ -71,21 +71,75 @@ FRONT = r"""
         const Sixteen ia = 1.0f / a, ib = 1.0f / b, ic = 1.0f / c;
         const Sixteen ua = at(0, first) * ia, ub = at(1, first) * ib, uc = at(2, first) * ic;
         const Sixteen va = at(0, second) * ia, vb = at(1, second) * ib, vc = at(2, second) * ic;
-        low_u = least(ua, ub, uc), high_u = most(ua, ub, uc), low_v = least(va, vb, vc), high_v = most(va, vb, vc);
-        low_u -= 0x1p-20f * (1.0f + size_of(low_u));
-        high_u += 0x1p-20f * (1.0f + size_of(high_u));
-        low_v -= 0x1p-20f * (1.0f + size_of(low_v));
-        high_v += 0x1p-20f * (1.0f + size_of(high_v));
+        Sixteen u0 = least(ua, ub, uc), u1 = most(ua, ub, uc), v0 = least(va, vb, vc), v1 = most(va, vb, vc);
+        u0 -= 0x1p-20f * (1.0f + size_of(u0));
+        u1 += 0x1p-20f * (1.0f + size_of(u1));
+        v0 -= 0x1p-20f * (1.0f + size_of(v0));
+        v1 += 0x1p-20f * (1.0f + size_of(v1));
         const wp::vec4 grid = tiles.fit.data[6 * place + face];
-        const int beside = bits((high_u < grid[0]) | (high_v < grid[1]) | ((low_u - grid[0]) * grid[2] > 4100.0f)
-                                | ((low_v - grid[1]) * grid[3] > 4100.0f));
-        nearest = 1.0f / front;
+        const int beside = bits((u1 < grid[0]) | (v1 < grid[1]) | ((u0 - grid[0]) * grid[2] > 4100.0f)
+                                | ((v0 - grid[1]) * grid[3] > 4100.0f));
+        Sixteen near = 1.0f / front;
         if (!inverse_mode) {
             const Sixteen z = most(at(0, 3), at(1, 3), at(2, 3));
             // The other way round where z is negative: the larger |h|, the larger a negative t.
-            nearest = z / (z < 0.0f ? most(a, b, c) : front);
+            near = z / (z < 0.0f ? most(a, b, c) : front);
         }
-        nearest += 0x1p-18f * (1.0f + size_of(nearest));
+        *(Sixteen*)low_u = u0;
+        *(Sixteen*)high_u = u1;
+        *(Sixteen*)low_v = v0;
+        *(Sixteen*)high_v = v1;
+        *(Sixteen*)nearest = near + 0x1p-18f * (1.0f + size_of(near));
         return touched & ~(beside & bounded);
+    };
+"""
+
+# Behind tile_test.SIDE_SIXTEEN:
+# take(record, n): takes up the n records from `record` on; `silent` and `blind` are bits of them;
+# side(face, j): triangle j of them on a face.
+TAKE = r"""
+    float row[16][16], plane_row[4][16], pad[2][16];
+    int silent = 0, blind = 0;
+    auto take = [&](int record, int n) {
+        const float* from = (const float*)occluders.records.data + 16 * (size_t)record;
+        if (n == 16)
+            for (int k = 0; k < 16; ++k)
+                for (int j = 0; j < 16; ++j)
+                    row[k][j] = from[16 * j + k];
+        else
+            for (int k = 0; k < 16; ++k)
+                for (int j = 0; j < 16; ++j)
+                    row[k][j] = from[16 * (j < n ? j : 0) + k];
+        auto at = [&](int k) -> Sixteen { return *(const Sixteen*)row[k]; };
+        silent = bits((at(12) == 0.0f) & (at(13) == 0.0f) & (at(14) == 0.0f));
+        Sixteen sum = 0.0f;
+        for (int k = 0; k < 16; ++k)
+            sum += size_of(at(k));
+        blind = ~bits(sum < 1.0e17f) & 0xFFFF;
+        const Sixteen slope = inverse_mode ? space.c * at(14) - at(15) : at(14) - space.s * at(15);
+        const Sixteen none = 0.0f;
+        *(Sixteen*)plane_row[0] = at(12);
+        *(Sixteen*)plane_row[1] = at(13);
+        *(Sixteen*)plane_row[2] = inverse_mode ? -at(14) : -at(15);
+        *(Sixteen*)plane_row[3] = smaller(slope, none);
+        *(Sixteen*)pad[0] = 2.0f * at(3);
+        *(Sixteen*)pad[1] = 4.0f * (at(7) + at(11));
+    };
+    auto side = [&](int face, int j) -> Side {
+        const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
+        Side s;
+        s.a = row[first] + j, s.b = row[second] + j, s.c = row[axis] + j;
+        s.pa = plane_row[first] + j, s.pb = plane_row[second] + j, s.pc = plane_row[axis] + j, s.pt = plane_row[3] + j;
+        s.sign = face & 1 ? -1.0f : 1.0f;
+        s.edge = pad[0][j];
+        s.plane = pad[1][j];
+        s.blind = blind >> j & 1;
+        s.bounded = bounded >> j & 1;
+        s.u0 = s.bounded ? low_u[j] : -3.0f;
+        s.u1 = s.bounded ? high_u[j] : 3.0f;
+        s.v0 = s.bounded ? low_v[j] : -3.0f;
+        s.v1 = s.bounded ? high_v[j] : 3.0f;
+        s.nearest = s.bounded ? nearest[j] : 3.0e38f;
+        return s;
     };
 """

@@ -51,7 +51,16 @@ SIDE = r"""
     };
 """
 
+# Sixteen boxes at a time, and `Side` with another meaning: a lane of the sixteen triangles that front_wide.py has taken
+# up, seen on a face.
 SIDE_SIXTEEN = r"""
+    struct Side {
+        const float *a, *b, *c;                    // of the first edge, along u, v and the face's axis; the next
+        const float *pa, *pb, *pc, *pt;            // edge is 64 floats behind; of P
+        float sign, edge, plane;                   // of the face's axis; factors of the pads
+        float u0, u1, v0, v1, nearest;
+        bool blind, bounded;
+    };
     auto touches = [&](const float* b, const Side& s) -> int {
         const Sixteen cu = *(const Sixteen*)b, cv = *(const Sixteen*)(b + 16);
         const Sixteen eu = *(const Sixteen*)(b + 32), ev = *(const Sixteen*)(b + 48), t0 = *(const Sixteen*)(b + 64);
@@ -65,16 +74,17 @@ SIDE_SIXTEEN = r"""
             covered = 0;
             return bits(eu >= 0.0f);
         }
-        const Sixteen m = 6.0f + 2.001f * larger(larger(t0, -t0), larger(t1, -t1));
+        const Sixteen m = 6.0f + 2.001f * larger(size_of(t0), size_of(t1));
         const Sixteen edge = s.edge * m, plane = s.plane * m;
-        const Sixteen c0 = s.a[0] * cu + s.b[0] * cv + s.c[0], r0 = s.ra[0] * eu + s.rb[0] * ev;
-        const Sixteen c1 = s.a[1] * cu + s.b[1] * cv + s.c[1], r1 = s.ra[1] * eu + s.rb[1] * ev;
-        const Sixteen c2 = s.a[2] * cu + s.b[2] * cv + s.c[2], r2 = s.ra[2] * eu + s.rb[2] * ev;
-        const Sixteen g = s.pa * cu + s.pb * cv + s.pc, h = s.rpa * eu + s.rpb * ev;
+        const float a0 = s.a[0], a1 = s.a[64], a2 = s.a[128], b0 = s.b[0], b1 = s.b[64], b2 = s.b[128];
+        const Sixteen c0 = a0 * cu + b0 * cv + s.sign * s.c[0], r0 = fabsf(a0) * eu + fabsf(b0) * ev;
+        const Sixteen c1 = a1 * cu + b1 * cv + s.sign * s.c[64], r1 = fabsf(a1) * eu + fabsf(b1) * ev;
+        const Sixteen c2 = a2 * cu + b2 * cv + s.sign * s.c[128], r2 = fabsf(a2) * eu + fabsf(b2) * ev;
+        const Sixteen g = *s.pa * cu + *s.pb * cv + s.sign * *s.pc, h = fabsf(*s.pa) * eu + fabsf(*s.pb) * ev;
         const int mask = bits((cu - eu <= s.u1) & (cu + eu >= s.u0) & (cv - ev <= s.v1) & (cv + ev >= s.v0)
                               & (t0 <= s.nearest) & (c0 + r0 >= -edge) & (c1 + r1 >= -edge) & (c2 + r2 >= -edge)
-                              & (g + h + s.pt * t0 >= -plane));
-        covered = mask & bits((c0 - r0 > edge) & (c1 - r1 > edge) & (c2 - r2 > edge) & (g - h + s.pt * t1 > plane));
+                              & (g + h + *s.pt * t0 >= -plane));
+        covered = mask & bits((c0 - r0 > edge) & (c1 - r1 > edge) & (c2 - r2 > edge) & (g - h + *s.pt * t1 > plane));
         return mask;
     };
 """
