@@ -141,7 +141,7 @@ class ShadowTracer:
 
     def __init__(
         self,
-        pipeline: str = "cone_hierarchy",
+        pipeline: str = "light_grid",
         variant: str | None = None,
         device: str | None = None,
         bounds: Bounds | None = None,

@@ -51,6 +51,12 @@ class PipelineEntry:
 
 
 REGISTRY: dict[str, PipelineEntry] = {
+    "light_grid": PipelineEntry(
+        ("packed", "packed_scalar", "spherical"),
+        "shadow_tracer.gpu.light_grid.pipeline",
+        "make",
+        "triangles in tiles of directions around the light, rays sorted into them",
+    ),
     "cone_hierarchy": PipelineEntry(
         (
             "linear",
@@ -66,12 +72,6 @@ REGISTRY: dict[str, PipelineEntry] = {
         "shadow_tracer.gpu.cone_hierarchy.pipeline",
         "make",
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
-    ),
-    "light_grid": PipelineEntry(
-        ("packed", "packed_scalar", "spherical"),
-        "shadow_tracer.gpu.light_grid.pipeline",
-        "make",
-        "triangles in tiles of directions around the light, rays sorted into them",
     ),
     "mesh_bvh": PipelineEntry(
         ("refit", "rebuild", "binary"),

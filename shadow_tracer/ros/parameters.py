@@ -90,7 +90,7 @@ def _variants() -> tuple[str, ...]:
 _FRAME_TEXT = 'a tf frame without leading "/", or ""'
 
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("pipeline", STRING, "cone_hierarchy",
+    Parameter("pipeline", STRING, "light_grid",
               "How shadows are found. All pipelines give the same masks.", allowed=_pipelines()),
     Parameter("variant", STRING, "",
               "Variant of the pipeline; empty is the pipeline's default.", allowed=_variants()),

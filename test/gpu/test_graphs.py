@@ -14,9 +14,15 @@ from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTr
 _BOUNDS = Bounds(max_triangles=4000, max_rays=2500, max_lights=4, queue_capacity=4000)
 
 
-def _tracer(device: str, graphs: bool | None) -> ShadowTracer:
-    variant = "linear_scalar" if device == "cpu" else "linear"
-    return ShadowTracer("cone_hierarchy", variant, device=device, bounds=_BOUNDS, graphs=graphs)
+@pytest.fixture(params=["cone_hierarchy/linear_scalar", "light_grid/packed", "light_grid/packed_scalar"])
+def way(request: pytest.FixtureRequest) -> tuple[str, str]:
+    """Pipelines and variants that can be recorded on any device."""
+    pipeline, variant = request.param.split("/")
+    return pipeline, variant
+
+
+def _tracer(way: tuple[str, str], device: str, graphs: bool | None) -> ShadowTracer:
+    return ShadowTracer(*way, device=device, bounds=_BOUNDS, graphs=graphs)
 
 
 def _camera(step: int, size: int = 40) -> Camera:
@@ -54,8 +60,8 @@ def _frames(tracer: ShadowTracer) -> list[np.ndarray]:
     return states
 
 
-def test_replayed_frames_are_equal(any_device: str) -> None:
-    plain, recording = _tracer(any_device, False), _tracer(any_device, True)
+def test_replayed_frames_are_equal(way: tuple[str, str], any_device: str) -> None:
+    plain, recording = _tracer(way, any_device, False), _tracer(way, any_device, True)
     expected = _frames(plain)
     got = _frames(recording)
     assert all(np.array_equal(a, b) for a, b in zip(expected, got, strict=True))
@@ -64,8 +70,8 @@ def test_replayed_frames_are_equal(any_device: str) -> None:
     assert engine._graphs.recorded() >= 2
 
 
-def test_a_replayed_frame_is_one_stage(any_device: str) -> None:
-    tracer = _tracer(any_device, True)
+def test_a_replayed_frame_is_one_stage(way: tuple[str, str], any_device: str) -> None:
+    tracer = _tracer(way, any_device, True)
     rng, camera = np.random.default_rng(1), _camera(0)
     tracer.scene.put("ball", *geometry.icosphere(2, 1.0, (0.0, 0.0, 3.0)))
     lamp = PointLight("lamp", (0.0, -2.0, 0.5))
@@ -75,27 +81,25 @@ def test_a_replayed_frame_is_one_stage(any_device: str) -> None:
     assert frame.counters["rays"] > 1000 and frame.counters["nodes_visited"] > 0
 
 
-def test_recordings_do_not_outlive_the_pipeline(any_device: str) -> None:
-    tracer = _tracer(any_device, True)
+def test_recordings_do_not_outlive_the_pipeline(way: tuple[str, str], any_device: str) -> None:
+    tracer = _tracer(way, any_device, True)
     rng, camera = np.random.default_rng(2), _camera(0)
     tracer.scene.put("ball", *geometry.icosphere(2, 1.0, (0.0, 0.0, 3.0)))
     lamp = PointLight("lamp", (0.0, -2.0, 0.5))
     depth = _depth(rng, camera)
     first = [tracer.trace(depth, camera, [lamp]).state("lamp") for _ in range(4)][-1]
-    variant = tracer.variant
     tracer.select("brute_force")
     assert np.array_equal(tracer.trace(depth, camera, [lamp]).state("lamp"), first)
-    tracer.select("cone_hierarchy", variant)
+    tracer.select(*way)
     again = [tracer.trace(depth, camera, [lamp]).state("lamp") for _ in range(4)]
     assert all(np.array_equal(state, first) for state in again)
 
 
 @pytest.mark.parametrize("capacity", [1, 3])
-def test_overflow_after_a_replay(any_device: str, capacity: int) -> None:
+def test_overflow_after_a_replay(way: tuple[str, str], any_device: str, capacity: int) -> None:
     """Rays on the surfaces of a ball without a bias: many pairs for a queue of one."""
     bounds = Bounds(max_triangles=100, max_rays=64, max_lights=1, queue_capacity=capacity)
-    variant = "linear_scalar" if any_device == "cpu" else "linear"
-    tracer = ShadowTracer("cone_hierarchy", variant, device=any_device, bounds=bounds, graphs=True)
+    tracer = ShadowTracer(*way, device=any_device, bounds=bounds, graphs=True)
     oracle = ShadowTracer("brute_force", device=any_device, bounds=bounds)
     vertices, triangles = geometry.icosphere(1, 1.0, (0.0, 0.0, 3.0))
     lamp = PointLight("lamp", (0.3, -2.0, 0.5))

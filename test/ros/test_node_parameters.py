@@ -12,6 +12,7 @@ import pytest
 from harness import Rig, plate, wall
 from rclpy.parameter import Parameter
 
+from shadow_tracer import available_pipelines
 from shadow_tracer.ros.diagnostics import DEVICE, OK, PROCESSING
 from shadow_tracer.ros.parameters import LIGHT_PARAMETERS, PARAMETERS, ParameterError, names_for
 
@@ -66,7 +67,7 @@ def test_a_change_shows_in_the_next_mask(rig: Rig, change: dict[str, Any]) -> No
         ("bias__constant", "small", "Wrong parameter type"),
         ("mask__unknown_value", 255, "out of range"),
         ("pose_source", "gps", "pose_source: expected string (tf, topic, parameter), got 'gps'"),
-        ("variant", "float64", "variant: expected one of linear, linear_scalar"),
+        ("variant", "float64", "variant: expected one of packed, packed_scalar"),
         ("camera_pose", [0.0], "camera_pose: expected double array (7 numbers)"),
         ("lights", ["a b"], "lights: expected names"),
         ("lights", ["a", "a"], "lights: expected different names"),
@@ -87,7 +88,7 @@ def test_what_is_refused_changes_nothing(rig: Rig, name: str, value: Any, reason
 
 def test_several_at_once_are_taken_or_refused_together(rig: Rig) -> None:
     assert "variant" in rig.set(bias__constant=1.0, pipeline="brute_force", variant="refit")
-    assert rig.node and rig.node.settings.bias_constant == 0.02 and rig.node.settings.pipeline == "cone_hierarchy"
+    assert rig.node and rig.node.settings.bias_constant == 0.02 and rig.node.settings.pipeline == "light_grid"
     assert rig.set(bias__constant=1.0, pipeline="brute_force", variant="float64") == ""
     assert rig.node.settings.bias_constant == 1.0
 
@@ -101,10 +102,12 @@ def test_pipelines_can_be_switched_and_give_the_same_mask(rig: Rig) -> None:
         ("mesh_bvh", ""),
         ("cone_hierarchy", "precise_seatp"),
         ("cone_hierarchy", ""),
+        ("light_grid", "spherical"),
+        ("light_grid", ""),
     ):
         assert rig.set(pipeline=pipeline, variant=variant) == ""
         np.testing.assert_array_equal(rig.mask_of(rig.send_frame(wall()), timeout=120.0), before)
-        full = variant or {"brute_force": "filtered", "mesh_bvh": "refit", "cone_hierarchy": "linear"}[pipeline]
+        full = variant or available_pipelines()[pipeline][0]
         rig.wait_status(DEVICE, OK, f"{pipeline}/{full} on cpu")
     assert rig.value(PROCESSING, "faults") == "0"
 

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 def test_defaults_make_settings() -> None:
     settings = settings_from({})
-    assert settings.pipeline == "cone_hierarchy" and settings.tracer_device is None
+    assert settings.pipeline == "light_grid" and settings.tracer_device is None
     assert settings.bounds == Bounds()
     assert (settings.bias.constant, settings.bias.quadratic) == (0.02, 0.003)
     assert [light.name for light in settings.enabled_lights] == ["lamp"]
@@ -29,10 +29,10 @@ def test_defaults_make_settings() -> None:
 
 
 BAD = [
-    ("pipeline", "cone", "pipeline: expected string (cone_hierarchy, light_grid, mesh_bvh, brute_force), got 'cone'"),
+    ("pipeline", "cone", "pipeline: expected string (light_grid, cone_hierarchy, mesh_bvh, brute_force), got 'cone'"),
     ("pipeline", 3, "pipeline: expected string"),
     ("variant", "fast", "variant: expected string"),
-    ("variant", "float64", "variant: expected one of linear, linear_scalar, precise, precise_sorted"),
+    ("variant", "float64", "variant: expected one of packed, packed_scalar, spherical"),
     ("device", "gpu", "device: expected string (auto, cpu, cuda:N), got 'gpu'"),
     ("device", "cuda", "device: expected string"),
     ("fixed_frame", "/map", 'fixed_frame: expected string (a tf frame without leading "/"'),

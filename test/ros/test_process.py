@@ -27,7 +27,7 @@ SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids
 @SIGNALS
 def test_signals_end_it_cleanly(number: signal.Signals) -> None:
     with NodeProcess() as process:
-        process.wait_for("Ready: cone_hierarchy/linear on cpu")
+        process.wait_for("Ready: light_grid/packed on cpu")
         assert process.stop(number) == (0, "")
 
 
