@@ -155,7 +155,7 @@ class Engine:
             with self.stages.stage("unproject"):
                 unproject.unproject_image(depth, frame)
         for work in passes:
-            self._project(work, 0)
+            self._project(work, projection.FIRST_TIME)
             self._attempt(work)
 
     def _project(self, work: Pass, again: int) -> None:
@@ -201,7 +201,7 @@ class Engine:
             # all triangles, else those that wait.
             self._context.records.plan(work.lights, len(passes[0].lights))
             attempt = 0 if in_parts else 1
-            self._project(work, attempt)
+            self._project(work, projection.ONCE_MORE if in_parts else projection.PENDING_RAYS)
             unfinished = True
             while unfinished:
                 unfinished, done = self._all_parts(work, attempt)

@@ -22,6 +22,11 @@ from shadow_tracer.gpu.light_frame import (
     towards_light,
 )
 
+# Values of `again`, see `project`.
+FIRST_TIME = wp.constant(0)
+PENDING_RAYS = wp.constant(1)
+ONCE_MORE = wp.constant(2)
+
 
 @wp.kernel(enable_backward=False)
 def project_samples(
@@ -33,11 +38,10 @@ def project_samples(
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
-    """Ray of each sample in the light's frame (the biased start point), and its state before tracing. With ``again``,
-    only the rays of samples whose tracing is not finished, and no state."""
+    """Ray of each sample in the light's frame (the biased start point), and its state before tracing."""
     i = wp.tid()
     frame = light[0]
-    if again != 0 and states[i] != wp.uint8(PENDING):
+    if again == PENDING_RAYS and states[i] != wp.uint8(PENDING):
         return
     if valid[i] == wp.uint8(0):
         states[i] = wp.uint8(INVALID)
@@ -61,9 +65,9 @@ def project_samples(
             if bias * frame.inverse_scale > wp.float64(0.5) + size:
                 # The sum above may cancel beyond the bound of the filter; infinity is a maybe for everything.
                 rays[i] = wp.vec4(float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
-            if again == 0:
+            if again == FIRST_TIME:
                 wp.atomic_add(counters, i & 63, RAYS, wp.int64(1))
-    if again == 0:
+    if again != PENDING_RAYS:
         states[i] = wp.uint8(state)
 
 
@@ -78,7 +82,7 @@ _BLOCK = 256
     + r"""
 #if !defined(__CUDA_ARCH__)
     const int n = count - first < 256 ? count - first : 256;
-    int pending = again == 0;
+    int pending = again != 1;
     for (int j = 0; j < n; ++j)
         pending |= states.data[first + j] == 4;
     if (!pending)
@@ -127,11 +131,12 @@ _BLOCK = 256
         state[j] = (wp::uint8)(is ? 2 * out : 3);
         traced += ray_ends;
     }
-    if (again != 0)
+    if (again == 1)
         return;
     for (int j = 0; j < n; ++j)
         states.data[first + j] = state[j];
-    wp::atomic_add(&counters.data[((first / 256) & 63) * counters.shape[1] + column], (wp::int64)traced);
+    if (again == 0)
+        wp::atomic_add(&counters.data[((first / 256) & 63) * counters.shape[1] + column], (wp::int64)traced);
 #endif
     """
 )
@@ -148,7 +153,7 @@ def project_block(
     counters: wp.array2d(dtype=wp.int64),
 ):
     """``project_samples`` for up to 256 samples from ``first`` on. Samples without a ray get one that starts with NaN;
-    with ``again`` the rays of a whole block are made when any of it is pending."""
+    if only pending rays are wanted, those of a whole block are made when any of it is pending."""
     ...
 
 
@@ -167,8 +172,10 @@ def project_blocks(
 
 
 def project(buffers: FrameBuffers, light: int, place: int, again: int) -> None:
-    """Rays of all samples and, unless ``again``, their states for light number ``light``, the one at ``place`` in its
-    pass."""
+    """Rays of all samples and their states for light number ``light``, the one at ``place`` in its pass.
+
+    ``again`` is ``FIRST_TIME``; ``PENDING_RAYS``: only the rays of samples whose tracing is not finished, and no
+    states; or ``ONCE_MORE``: as the first time, but not counted."""
     inputs = [
         buffers.light_frame_of[light],
         again,

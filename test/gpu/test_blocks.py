@@ -18,6 +18,7 @@ from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers  # noqa: E402
 from shadow_tracer.gpu.devices import pick_device  # noqa: E402
 from shadow_tracer.gpu.light_frame import PENDING, Anchor, make_light_frame  # noqa: E402
 from shadow_tracer.gpu.pinhole import Pinhole  # noqa: E402
+from shadow_tracer.gpu.projection import FIRST_TIME, ONCE_MORE, PENDING_RAYS  # noqa: E402
 from shadow_tracer.scene.checks import LARGEST  # noqa: E402
 from shadow_tracer.scene.mesh import Scene  # noqa: E402
 
@@ -126,7 +127,7 @@ def _samples(rng: np.random.Generator, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("light", _LIGHTS)
 @pytest.mark.parametrize("count", [1, 255, 256, 257, 5000])
-@pytest.mark.parametrize("again", [0, 1])
+@pytest.mark.parametrize("again", [FIRST_TIME, PENDING_RAYS, ONCE_MORE])
 def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int) -> None:
     rng = np.random.default_rng(count)
     samples, valid = frame.samples.numpy(), frame.valid.numpy()
@@ -145,7 +146,7 @@ def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int
         frame.counters,
     ]
     states = np.full(count, 9, np.uint8)
-    if again:
+    if again == PENDING_RAYS:
         projection.project(frame, 0, 0, 0)
         states = frame.states.numpy()[:count].copy()
         # Pending ones are few and not in every block, as after a queue that was nearly large enough.
@@ -167,13 +168,13 @@ def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int
     block_rays, block_after, block_traced = run(True)
     np.testing.assert_array_equal(block_after, after)
     assert block_traced == traced
-    assert (traced > 0) == (again == 0) or count == 1
-    concerned = (after == PENDING if again else after == 0)[:count]
+    assert (traced > 0) == (again == FIRST_TIME) or count == 1
+    concerned = (after == PENDING if again == PENDING_RAYS else after == 0)[:count]
     there = ~np.isnan(rays[:count, 0])
     np.testing.assert_array_equal(np.isnan(block_rays[:count, 0])[concerned], ~there[concerned])
     np.testing.assert_array_equal(_bits(block_rays)[:count][concerned & there], _bits(rays)[:count][concerned & there])
     assert (block_rays[count:] == _GARBAGE).all(), "written beyond the samples"
-    if not again:
+    if again != PENDING_RAYS:
         assert np.isnan(block_rays[:count, 0])[~concerned].all(), "a sample that is not traced has a ray"
 
 
