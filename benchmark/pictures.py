@@ -33,7 +33,8 @@ class Picture:
     light: np.ndarray
 
 
-def _living_room() -> Picture | None:
+def living_room() -> Picture | None:
+    """A real depth image and the room's mesh; None without the data folder."""
     folder = data_folder()
     if folder is None:
         print("skipped without the data folder (set SHADOW_TRACER_DATA): the living room")
@@ -51,7 +52,8 @@ def _living_room() -> Picture | None:
     return Picture("livingroom", vertices, triangles, depth, camera, np.array((0.4, -1.0, 1.8)))
 
 
-def _workshop() -> Picture:
+def demo_workshop() -> Picture:
+    """A depth image of the demo's workshop."""
     scene = workshop.Workshop()
     vertices = scene.vertices(0.1)
     pose = workshop.camera_to_world(0.1)
@@ -90,7 +92,7 @@ def _colors(numbers: np.ndarray) -> np.ndarray:
     return (64 + rgb // 2 + rgb // 8).astype(np.uint8)
 
 
-def _heat(values: np.ndarray) -> np.ndarray:
+def heat(values: np.ndarray) -> np.ndarray:
     """Black, red, yellow, white for 0 to 1."""
     x = np.clip(values, 0.0, 1.0)[..., None]
     return (255 * np.clip(np.concatenate([3 * x, 3 * x - 1, 3 * x - 2], axis=-1), 0.0, 1.0)).astype(np.uint8)
@@ -133,7 +135,7 @@ def draw(picture: Picture, out: Path) -> None:
     most = np.percentile(total[known], 99.5)
     visited = frame.counters["nodes_visited"]
     text = f"nodes visited: {visited:,}; white: {most:.0f} per ray"
-    shown.append(_caption(_heat((total / most) ** 0.5).reshape(*state.shape, 3), text))
+    shown.append(_caption(heat((total / most) ** 0.5).reshape(*state.shape, 3), text))
     width, height = camera.width, camera.height
     sheet = Image.new("RGB", (2 * width, 2 * height))
     for k, image in enumerate(shown):
@@ -149,7 +151,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     options = parser.parse_args()
-    for picture in (_living_room(), _workshop()):
+    for picture in (living_room(), demo_workshop()):
         if picture is not None:
             draw(picture, options.out)
 
