@@ -96,7 +96,7 @@ class _Wide:
         frame, buffers = self._context.frame, self._buffers
         states = frame.states_of(work.first, len(work.lights))
         inputs = [frame.lights_from(work.first), frame.rays, states, group, buffers.tiles, buffers.cells]
-        inputs += [buffers.scratch, buffers.sort.keys, buffers.sort.values]
+        inputs += [buffers.sort.keys, buffers.sort.values]
         wp.launch(packing_wide.pack_wide, dim=1, inputs=inputs, device=frame.device)
 
     def trace(self, work: Pass, occluders: Occluders, answers: Any) -> None:

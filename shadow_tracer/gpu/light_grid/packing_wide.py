@@ -28,43 +28,25 @@ from shadow_tracer.gpu.light_space import FACES
 from shadow_tracer.gpu.shadow_test import SIXTEEN
 
 
-# Rays to their columns: ray number k in the order of (group, cell of u), and of the image within a cell, goes to column
-# k / length of its group. ``cells`` holds the number of rays in each cell, ``next`` has a place per column.
+# Rays in the order of (group, cell of u), within a cell in that of the image: so a column is a range of them. ``cells``
+# holds the number of rays in each cell.
 @wp.func_native(
     r"""
-    // First the cells' counts become the first ray of each, from the start of its group on; then a ray's place among
-    // all of its group says the column, and the column's next free place where it goes.
-    const int groups = 6 * tiles.lights;
-    for (int number = 0; number < groups; ++number) {
-        int sum = 0;
-        for (int k = 2048 * number; k < 2048 * (number + 1); ++k) {
-            const int here = cells.data[k];
-            cells.data[k] = sum;
-            sum += here;
-        }
+    int sum = 0;
+    for (int k = 0; k < 6 * tiles.lights * 2048; ++k) {
+        const int here = cells.data[k];
+        cells.data[k] = sum;
+        sum += here;
     }
-    const int* of = tiles.groups.data;
-    int* free = next.data;
-    for (int number = 0; number < groups; ++number)
-        for (int k = 0; k < of[6 * number + 4]; ++k)
-            free[of[6 * number + 3] + k] = of[6 * number] + k * of[6 * number + 2];
     for (int i = 0; i < count; ++i) {
-        const int key = keys.data[i], number = key >> 21;
-        const int rank = cells.data[key >> 10]++;
-        const int column = of[6 * number + 3] + (rank >> 9) / (of[6 * number + 2] >> 9);
-        const int to = free[column]++;
-        keys.data[count + to] = key & 1023;
-        order.data[count + to] = order.data[i];
+        const int key = keys.data[i], to = count + cells.data[key >> 10]++;
+        keys.data[to] = key & 1023;
+        order.data[to] = order.data[i];
     }
     """
 )
 def to_columns(
-    count: int,
-    tiles: Tiles,
-    cells: wp.array(dtype=int),
-    next: wp.array(dtype=int),
-    keys: wp.array(dtype=int),
-    order: wp.array(dtype=int),
+    count: int, tiles: Tiles, cells: wp.array(dtype=int), keys: wp.array(dtype=int), order: wp.array(dtype=int)
 ):
     """Bring the rays of each column together, behind the first ``count`` elements of ``keys`` (then the cell of v) and
     ``order``."""
@@ -207,7 +189,6 @@ def pack_wide(
     group: wp.array(dtype=wp.uint8),
     tiles: Tiles,
     cells: wp.array(dtype=int),
-    scratch: wp.array(dtype=int),
     keys: wp.array(dtype=int),
     order: wp.array(dtype=int),
 ):
@@ -231,7 +212,7 @@ def pack_wide(
         column = last
         ray += rays_of
         block += (rays_of + BLOCK_RAYS - 1) // BLOCK_RAYS
-    to_columns(count, tiles, cells, scratch, keys, order)
+    to_columns(count, tiles, cells, keys, order)
     for number in range(FACES * tiles.lights):
         first = tiles.groups[number, FIRST_RAY]
         length = tiles.groups[number, LENGTH]

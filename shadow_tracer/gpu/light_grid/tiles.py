@@ -147,7 +147,6 @@ class TileBuffers:
         column_places = self.most_columns + 16 * groups
         self.sort = KeySort(rays, device)
         self.cells = wp.empty(groups * U_CELLS, dtype=int, device=device)
-        self.scratch = wp.empty(column_places, dtype=int, device=device)
         tiles = Tiles()
         tiles.fit = wp.empty(groups, dtype=wp.vec4, device=device)
         tiles.aligned = wp.empty(buffers.bounds.max_lights, dtype=int, device=device)
@@ -167,5 +166,5 @@ class TileBuffers:
         """Bytes on the device."""
         tiles = self.tiles
         arrays = (tiles.fit, tiles.aligned, tiles.groups, tiles.columns, tiles.blocks, tiles.boxes, tiles.rays)
-        arrays += (self.cells, self.scratch, tiles.order, tiles.live, tiles.covered, tiles.lookup, tiles.counts)
+        arrays += (self.cells, tiles.order, tiles.live, tiles.covered, tiles.lookup, tiles.counts)
         return self.sort.nbytes() + sum(int(array.capacity) for array in arrays)
