@@ -41,7 +41,7 @@ setup(
         # ROS 2 Jazzy from wheels (x86_64, glibc 2.28 or newer). Beside an installed ROS 2 leave this extra out.
         "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1.6,<7.2", "ros-jazzy-common-interfaces>=5.3.6,<5.4"],
         "mesh": ["trimesh>=4.4"],
-        "demo": ["embreex>=2.17.7", "pillow>=10.3", "rich>=13.7"],
+        "demo": ["pillow>=10.3", "rich>=13.7"],
         "benchmark": ["embreex>=2.17.7", "matplotlib>=3.8", "pillow>=10.3", "rich>=13.7", "trimesh>=4.4"],
         "test": ["pillow>=10.3", "pytest>=8.2", "pyyaml>=6.0", "setuptools>=64"],
         # Upper bounds: a new release of these may find new faults in old code.

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which pixels of a depth image does each light reach? Exact shadows of moving meshes at camera rate."""
 
+from shadow_tracer.depth_camera import DepthCamera, render_depth
 from shadow_tracer.gpu.pipelines import available_pipelines
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
@@ -16,6 +17,7 @@ __all__ = [
     "Bounds",
     "BoundsError",
     "Camera",
+    "DepthCamera",
     "DirectionalLight",
     "Frame",
     "Mesh",
@@ -26,4 +28,5 @@ __all__ = [
     "SpotLight",
     "State",
     "available_pipelines",
+    "render_depth",
 ]

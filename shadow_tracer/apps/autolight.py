@@ -114,15 +114,12 @@ class Place:
     def _fault(self, light: Geometry) -> float:
         """How far the light is from showing well: two thirds of its field lit, and little of it at a grazing angle."""
         way = light.homogeneous[:3] - self._points * light.homogeneous[3]
-        distance = np.linalg.norm(way, axis=1)
-        way /= distance[:, None]
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
         axis, cosine = light.cone
         inside = -(way @ axis) >= cosine
         if inside.mean() < 0.15:
             return 2.0
-        reach = np.where(light.homogeneous[3] > 0, distance - self.bias, 1e6)
-        starts = self._points + self.bias * way
-        lit = self._mesh.distances(starts[inside], way[inside]) >= reach[inside]
+        lit = ~self._mesh.hidden(self._points[inside], light, self.bias)
         grazing = np.abs(np.einsum("ni,ni->n", way, self._normals)[inside]) < 0.25
         return abs(float(lit.mean()) - 0.66) + float(grazing.mean())
 

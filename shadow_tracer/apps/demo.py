@@ -21,7 +21,7 @@ from shadow_tracer.apps.parameter_file import parameters, yaml
 from shadow_tracer.apps.processes import Processes
 from shadow_tracer.apps.sequence import Sequence, open_sequence
 
-NEEDED = {"rclpy": "ros", "sensor_msgs": "ros", "rich": "demo", "PIL": "demo", "embreex": "demo"}
+NEEDED = {"rclpy": "ros", "sensor_msgs": "ros", "rich": "demo", "PIL": "demo"}
 # what a machine without a CUDA device answers in half a minute, and one with it in less
 CPU_FRAMES, CPU_SIZE = 40, (640, 480)
 CUDA_FRAMES, CUDA_SIZE = 72, (640, 480)
@@ -132,7 +132,7 @@ def _options() -> argparse.ArgumentParser:
     publisher.options(parser)
     parser.add_argument("--output", type=Path, default=Path("demo_output"), metavar="FOLDER", help="where pictures go")
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda:N (default: auto)")
-    parser.add_argument("--pipeline", default="cone_hierarchy", choices=list(pipelines), help="default: cone_hierarchy")
+    parser.add_argument("--pipeline", default="light_grid", choices=list(pipelines), help="default: light_grid")
     variants = sorted({variant for names in pipelines.values() for variant in names})
     parser.add_argument("--variant", default="", choices=["", *variants], help="default: the first of the pipeline")
     return parser

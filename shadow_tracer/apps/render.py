@@ -1,35 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated colour and depth camera: one ray per pixel through a triangle mesh, by Embree."""
+"""A simulated colour and depth camera."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from shadow_tracer.depth_camera import render_depth
+from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.lights import Light
+from shadow_tracer.scene.mesh import Scene
+from shadow_tracer.tracer import ShadowTracer
 
 SKY_LOW, SKY_HIGH = (0.93, 0.95, 0.97), (0.70, 0.82, 0.94)
 
 
 class RayCaster:
-    """Casts rays into one mesh.
+    """Looks at one mesh: what a camera sees of it, and what light reaches.
 
     Args:
         vertices: (V, 3) metres, world frame.
         triangles: (T, 3) indices.
-
-    Raises:
-        RuntimeError: if embreex is not installed.
     """
 
     def __init__(self, vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> None:
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise RuntimeError("the simulated camera needs embreex: pip install 'shadow_tracer[demo]'") from error
-        self._scene = EmbreeScene()
-        TriangleMesh(self._scene, np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(triangles, np.int32))
+        self._bounds = Bounds(max_triangles=max(1, len(triangles), -(-len(vertices) // 3)), max_rays=1 << 16)
+        self._scene = Scene(self._bounds)
+        self._scene.put("mesh", vertices, triangles)
+        self._tracer: ShadowTracer | None = None
 
     def image(self, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Depth and triangle of every pixel.
@@ -38,23 +37,15 @@ class RayCaster:
             depth (H, W) float32 metres along the optical axis, NaN where nothing is hit, and triangle index (H, W)
             int32, -1 there.
         """
-        pose = camera.camera_to_world
-        # z of each direction is 1 in the optical frame, so the ray parameter is the depth itself
-        directions = (camera.pixel_rays().reshape(-1, 3) @ pose[:3, :3].T).astype(np.float32)
-        origins = np.tile(pose[:3, 3].astype(np.float32), (len(directions), 1))
-        hits = self._scene.run(origins, directions, query="INTERSECT", output=1)
-        ids = np.asarray(hits["primID"], dtype=np.int32).reshape(camera.height, camera.width)
-        depth = np.asarray(hits["tfar"], dtype=np.float32).reshape(ids.shape).copy()
-        depth[ids < 0] = np.nan
-        return depth, ids
+        return render_depth(self._scene, camera, "cpu")
 
-    def distances(self, starts: NDArray[np.float64], ways: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(N,) metres from each start along each unit way to the mesh; very large where nothing is hit.
-
-        Good enough to choose lights by; shadows are the tracer's business.
-        """
-        hits = self._scene.run(starts.astype(np.float32), ways.astype(np.float32), query="DISTANCE")
-        return np.asarray(hits, dtype=np.float32)
+    def hidden(self, points: NDArray[np.float64], light: Light, bias: float) -> NDArray[np.bool_]:
+        """(N,) whether the mesh is between the (N, 3) points and the light, `bias` metres off the points."""
+        if self._tracer is None:
+            # Made for many lights and few points: a tree of the mesh, which stays.
+            self._tracer = ShadowTracer("mesh_bvh", device="cpu", bounds=self._bounds)
+            self._tracer.scene = self._scene
+        return self._tracer.occluded(points, light, bias)
 
 
 def paint(

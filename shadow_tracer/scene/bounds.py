@@ -22,7 +22,7 @@ class Bounds:
         queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision; the node
             queues of the breadth-first variants have an eighth of it for each level. A smaller queue costs further
             passes (counted in ``overflow_passes``), never an answer.
-        grid_entries: (tile, triangle) entries of pipeline ``light_grid``. Too few cost passes (counted in
+        grid_entries: (tile, triangle) entries of pipeline ``light_grid`` and of depth cameras. Too few cost passes (counted in
             ``overflow_passes``), never an answer.
 
     Raises:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("PIL")
-pytest.importorskip("embreex")
 from PIL import Image
 
 from shadow_tracer import DirectionalLight, PointLight, ShadowTracer, SpotLight

@@ -76,7 +76,6 @@ def test_there_is_a_lamp_a_spotlight_and_the_sun() -> None:
 
 
 def test_views_are_deterministic_and_end_with_a_larger_still() -> None:
-    pytest.importorskip("embreex")
     sequence = WorkshopSequence(4, (64, 48))
     assert (len(sequence), sequence.animated, sequence.still) == (5, 4, 4)
     view, again = sequence.view(2), WorkshopSequence(4, (64, 48)).view(2)
@@ -94,7 +93,6 @@ def test_views_are_deterministic_and_end_with_a_larger_still() -> None:
 
 def test_depth_lies_on_the_mesh() -> None:
     """Each sample lies in the plane of some triangle: the depth is along the optical axis, not along the ray."""
-    pytest.importorskip("embreex")
     from shadow_tracer.apps.render import RayCaster
 
     sequence = WorkshopSequence(4, (64, 48))
