@@ -69,7 +69,7 @@ def test_the_code_for_the_library_gives_what_its_comments_say() -> None:
     code = blocks(README, "python")
     assert len(code) == 1, "one block for the library"
     pairs = list(results(code[0]))
-    assert len(pairs) == code[0].count(_RESULT) == 6
+    assert len(pairs) == code[0].count(_RESULT) == 7
     for promised, came in pairs:
         assert came == promised
 
