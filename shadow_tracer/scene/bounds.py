@@ -22,8 +22,8 @@ class Bounds:
         queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision; the node
             queues of the breadth-first variants have an eighth of it for each level. A smaller queue costs further
             passes (counted in ``overflow_passes``), never an answer.
-        grid_entries: (tile, triangle) entries of pipeline ``light_grid`` and of depth cameras. Too few cost passes (counted in
-            ``overflow_passes``), never an answer.
+        grid_entries: (tile, triangle) entries of pipeline ``light_grid`` and of depth cameras. Too few cost passes
+            (counted in ``overflow_passes``), never an answer.
 
     Raises:
         ValueError: a capacity is not a positive integer or too large to count with; the message names it and its limit.

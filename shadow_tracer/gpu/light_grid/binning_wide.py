@@ -33,7 +33,7 @@ class EntryList:
     sorted: wp.array(dtype=int)
     start: wp.array(dtype=int)  # per tile
     total: wp.array(dtype=int)  # entries of each tile so far
-    count: wp.array(dtype=int)  # [entries waiting, traces, all entries as two halves]
+    count: wp.array(dtype=int)  # [entries waiting, traces]
 
 
 # Expects `tiles`, `list`, `space`, `occluders` and `answers`; `first_record` of the light's triangles, `place` of the

@@ -347,7 +347,8 @@ class Packer:
         launch(measure_rays, count, tiles, rays, group, self._extents, self._misfits)
         launch(fit_faces, groups, tiles, self._extents, self._misfits)
         launch(make_keys, count, tiles, rays, states, group, sort.keys, sort.values)
-        sort.sort(count, V_BITS, V_BITS + U_BITS + 7)
+        # So many bits that what goes to the end comes behind the last group.
+        sort.sort(count, V_BITS, V_BITS + U_BITS + groups.bit_length())
         launch(find_groups, count, count, tiles, sort.keys, self._starts)
         launch(lay_out_groups, 1, tiles, self._starts)
         launch(make_column_keys, count, tiles, sort.keys)

@@ -10,11 +10,11 @@ and none with many, wherever rays crowd. Tile rectangles and depth ranges are ta
 decide about balance only, never about coverage.
 
 Sixteen tiles are a *block*, up to sixteen blocks a column, and columns come in sixteens: each of the three levels has
-boxes in (u, v, depth), a box of a higher level holding those below it. Boxes lie in groups of sixteen, each quantity of
-all of them together: [group][cu cv eu ev tmin tmax][16]. A box without rays has half extents of -1e30, which fails
-every test by far. t is the depth of light space (``light_space.py``) with h divided by its coordinate along the face's
-axis, not by its largest: in the aligned frustum |h| there is up to twice as large, so |U| + |V| + |W| <= 5 and the
-magnitude bound of a box is 6 + 2.001 max |t| in place of 4 + 2.001 max |t|.
+boxes in (u, v, depth), a box of a higher level holding the rays of those below it. Boxes lie in groups of sixteen, each
+quantity of all of them together: [group][cu cv eu ev tmin tmax][16]. A box without rays has half extents of -1e30,
+which fails every test by far. t is the depth of light space (``light_space.py``) with h divided by its coordinate along
+the face's axis, not by its largest: in the aligned frustum |h| there is up to twice as large, so |U| + |V| + |W| <= 5
+and the magnitude bound of a box is 6 + 2.001 max |t| in place of 4 + 2.001 max |t|.
 
 A ray's u and v are within 2 u of exact relative, values up to 2; half extents are padded by 16 u for that and for their
 own rounding, depths by 8 u relative.
