@@ -22,7 +22,7 @@ _MUTANTS = {
     ),
     "corners projected wherever they are": (
         "test_box_nodes.py",
-        [("cells.py", "if (!(front > 0x1p-18f * size))", "if (false)")],
+        [("../triangle_planes.py", "if (!(front > 0x1p-18f * size))", "if (false)")],
     ),
     "accepted by the edges alone": (
         "test_box_nodes.py",
@@ -31,8 +31,8 @@ _MUTANTS = {
     "no pads": (
         "test_box_nodes.py",
         [
-            ("triangle_planes.py", "it.edge = 2.0f * record[0][3];", "it.edge = 0.0f;"),
-            ("triangle_planes.py", "it.plane = 4.0f * (record[1][3] + record[2][3]);", "it.plane = 0.0f;"),
+            ("../triangle_planes.py", "it.edge = 2.0f * record[0][3];", "it.edge = 0.0f;"),
+            ("../triangle_planes.py", "it.plane = 4.0f * (record[1][3] + record[2][3]);", "it.plane = 0.0f;"),
             ("boxes.py", "_PAD = 2.0**-21", "_PAD = 0.0"),
         ],
     ),
