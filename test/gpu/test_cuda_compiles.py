@@ -18,6 +18,7 @@ MODULES = (
     "sort",
     "corners",
     "participants",
+    "extents",
     "cone_hierarchy.keys",
     "cone_hierarchy.boxes",
     "cone_hierarchy.descent",

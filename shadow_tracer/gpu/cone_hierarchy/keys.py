@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.extents import STRIPES, clear_extents, joined, widen
 from shadow_tracer.gpu.light_frame import SHADOWED
 from shadow_tracer.gpu.light_space import FACES, face_axes, face_of
 from shadow_tracer.gpu.participants import IN_TREE, Participants
 from shadow_tracer.gpu.sort import KeySort
 from shadow_tracer.gpu.triangles import Context
 
-_STRIPES = wp.constant(64)
 CURVE_BITS = 14
 KEY_BITS = 3 + 2 * CURVE_BITS
 CELLS = 2.0**CURVE_BITS
@@ -65,53 +65,26 @@ def hilbert_index(x: int, y: int) -> int:
 
 
 @wp.kernel(enable_backward=False)
-def clear_extent(extent: wp.array(dtype=float)):
-    """``extent``: low u, low v, high u, high v of the rays of each face, in ``_STRIPES`` rows that threads spread
-    over."""
-    i = wp.tid()
-    extent[i] = wp.where((i & 3) < 2, 2.0, -2.0)
-
-
-@wp.kernel(enable_backward=False)
 def measure_extent(rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), extent: wp.array(dtype=float)):
+    """Extents (``extents.py``) of the rays of each face."""
     i = wp.tid()
     if group[i] != wp.uint8(IN_TREE):
         return
     face = face_of(rays[i])
     on = face_axes(face, rays[i])
-    u = on[1] / on[0]
-    v = on[2] / on[0]
-    base = 4 * (FACES * (i & (_STRIPES - 1)) + face)
-    # Looking first keeps almost all threads from queueing for the same few addresses.
-    if u < extent[base]:
-        wp.atomic_min(extent, base, u)
-    if v < extent[base + 1]:
-        wp.atomic_min(extent, base + 1, v)
-    if u > extent[base + 2]:
-        wp.atomic_max(extent, base + 2, u)
-    if v > extent[base + 3]:
-        wp.atomic_max(extent, base + 3, v)
+    widen(extent, 4 * (FACES * (i & (STRIPES - 1)) + face), on[1] / on[0], on[2] / on[0])
 
 
 @wp.kernel(enable_backward=False)
 def fit_cells(stripes: int, extent: wp.array(dtype=float), fit: wp.array(dtype=wp.vec4)):
     """(low u, low v, cells per unit, 1 if the face has rays) of each face."""
     face = wp.tid()
-    low_u = float(2.0)
-    low_v = float(2.0)
-    high_u = float(-2.0)
-    high_v = float(-2.0)
-    for stripe in range(stripes):
-        base = 4 * (FACES * stripe + face)
-        low_u = wp.min(low_u, extent[base])
-        low_v = wp.min(low_v, extent[base + 1])
-        high_u = wp.max(high_u, extent[base + 2])
-        high_v = wp.max(high_v, extent[base + 3])
-    size = wp.max(high_u - low_u, high_v - low_v)
+    box = joined(extent, 4 * face, 4 * FACES, stripes)
+    size = wp.max(box[2] - box[0], box[3] - box[1])
     if size < 0.0:
         fit[face] = wp.vec4(0.0, 0.0, 0.0, 0.0)
     else:
-        fit[face] = wp.vec4(low_u, low_v, CELLS / wp.max(size, 1.0e-12), 1.0)
+        fit[face] = wp.vec4(box[0], box[1], CELLS / wp.max(size, 1.0e-12), 1.0)
 
 
 @wp.kernel(enable_backward=False)
@@ -223,7 +196,7 @@ _SIXTEEN = r"""
 def measure_all(
     count: int, rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), extent: wp.array(dtype=float)
 ):
-    """``clear_extent`` and ``measure_extent`` in one go."""
+    """``clear_extents`` and ``measure_extent`` in one go."""
     ...
 
 
@@ -308,7 +281,7 @@ class RayOrder:
         self._packed = packed
         device = context.frame.device
         self._sort = KeySort(context.frame.bounds.max_rays, device)
-        self._extent = wp.empty(4 * FACES * _STRIPES, dtype=float, device=device)
+        self._extent = wp.empty(4 * FACES * STRIPES, dtype=float, device=device)
         self.fit = wp.empty(FACES, dtype=wp.vec4, device=device)
         self.keys = self._sort.keys
         self.order = self._sort.values
@@ -326,9 +299,9 @@ class RayOrder:
             self._sort.sort(int(who.counts.numpy()[0]), *_SORTED_BITS)
             return
         who.counts[0:1].zero_()
-        wp.launch(clear_extent, dim=4 * FACES * _STRIPES, inputs=[self._extent], device=device)
+        wp.launch(clear_extents, dim=4 * FACES * STRIPES, inputs=[self._extent], device=device)
         wp.launch(measure_extent, dim=count, inputs=[frame.rays, who.group, self._extent], device=device)
-        wp.launch(fit_cells, dim=FACES, inputs=[_STRIPES, self._extent, self.fit], device=device)
+        wp.launch(fit_cells, dim=FACES, inputs=[STRIPES, self._extent, self.fit], device=device)
         inputs = [self._hilbert, frame.rays, states, who.group, self.fit, self.keys, self.order]
         wp.launch(make_keys, dim=count, inputs=inputs, device=device)
         self._sort.sort(count, *(_SORTED_BITS if self._hilbert == 0 else (0, KEY_BITS)))

@@ -177,6 +177,12 @@ _SINK = r"""
     };
 """
 
+_COUNTED = r"""
+    if (emit == 0 && nodes > 0)
+        wp::atomic_add(answers.counters.data + answers.counters.shape[1] * (triangle & 63) + nodes_visited, nodes);
+    return number - before;
+"""
+
 
 @wp.func_native(
     _THREAD
@@ -239,10 +245,8 @@ def itemise(
         columns_of(6 * place + face, side, from, to);
         visit(side, 6 * place + face, from, to, sink);
     }
-    if (emit == 0 && nodes > 0)
-        wp::atomic_add(answers.counters.data + answers.counters.shape[1] * (triangle & 63) + nodes_visited, nodes);
-    return number - before;
     """
+    + _COUNTED
 )
 def bin_triangle(
     triangle: int,
@@ -268,10 +272,8 @@ def bin_triangle(
     Side side;
     if (side_of(triangle, face, side))
         visit(side, 6 * place + face, first_column, last_column, sink);
-    if (emit == 0 && nodes > 0)
-        wp::atomic_add(answers.counters.data + answers.counters.shape[1] * (triangle & 63) + nodes_visited, nodes);
-    return number - before;
     """
+    + _COUNTED
 )
 def bin_item(
     triangle: int,

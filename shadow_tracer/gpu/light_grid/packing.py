@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu.extents import STRIPES, clear_extents, joined, widen
 from shadow_tracer.gpu.light_frame import SHADOWED, LightFrame
 from shadow_tracer.gpu.light_grid.tiles import (
     ALL_BLOCKS,
@@ -41,32 +42,9 @@ from shadow_tracer.gpu.participants import IN_TREE
 from shadow_tracer.gpu.shadow_test import ray_magnitude
 
 LAST_KEY = wp.constant(2**31 - 1)
-_STRIPES = wp.constant(64)
 # Extents per light: of the six faces, and of the aligned frustum.
 _EXTENTS = wp.constant(7)
 _PAD = 2.0**-20
-
-
-@wp.kernel(enable_backward=False)
-def clear_extents(extents: wp.array(dtype=float), misfits: wp.array(dtype=int)):
-    """``extents``: low u, low v, high u, high v, see ``measure_rays``."""
-    i = wp.tid()
-    extents[i] = wp.where((i & 3) < 2, 3.0, -3.0)
-    if i < misfits.shape[0]:
-        misfits[i] = 0
-
-
-@wp.func
-def widen(extents: wp.array(dtype=float), base: int, u: float, v: float):
-    # Looking first keeps almost all threads from queueing for the same few addresses.
-    if u < extents[base]:
-        wp.atomic_min(extents, base, u)
-    if v < extents[base + 1]:
-        wp.atomic_min(extents, base + 1, v)
-    if u > extents[base + 2]:
-        wp.atomic_max(extents, base + 2, u)
-    if v > extents[base + 3]:
-        wp.atomic_max(extents, base + 3, v)
 
 
 @wp.kernel(enable_backward=False)
@@ -78,13 +56,13 @@ def measure_rays(
     misfits: wp.array(dtype=int),
 ):
     """Extents of the rays of each light, on cube faces and, as long as they fit, in the aligned frustum; ``misfits``
-    counts lights whose rays do not fit there. Rows of 64 that threads spread over."""
+    tells the lights whose rays do not all fit there."""
     i = wp.tid()
     if group[i] != wp.uint8(IN_TREE):
         return
     ray = rays[i]
     place = i // tiles.samples
-    base = 4 * _EXTENTS * ((i & (_STRIPES - 1)) * tiles.lights + place)
+    base = 4 * _EXTENTS * ((i & (STRIPES - 1)) * tiles.lights + place)
     face = face_of(ray)
     on = face_axes(face, ray)
     widen(extents, base + 4 * face, on[1] / on[0], on[2] / on[0])
@@ -97,19 +75,10 @@ def measure_rays(
 @wp.func
 def fit_of(extents: wp.array(dtype=float), tiles: Tiles, place: int, which: int) -> wp.vec4:
     """``Tiles.fit`` from the rows of extents number ``which`` of a light."""
-    low_u = float(3.0)
-    low_v = float(3.0)
-    high_u = float(-3.0)
-    high_v = float(-3.0)
-    for stripe in range(_STRIPES):
-        base = 4 * (_EXTENTS * (stripe * tiles.lights + place) + which)
-        low_u = wp.min(low_u, extents[base])
-        low_v = wp.min(low_v, extents[base + 1])
-        high_u = wp.max(high_u, extents[base + 2])
-        high_v = wp.max(high_v, extents[base + 3])
-    if low_u > high_u:
+    box = joined(extents, 4 * (_EXTENTS * place + which), 4 * _EXTENTS * tiles.lights, STRIPES)
+    if box[0] > box[2]:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    return wp.vec4(low_u, low_v, 4096.0 / wp.max(high_u - low_u, 1.0e-12), 4096.0 / wp.max(high_v - low_v, 1.0e-12))
+    return wp.vec4(box[0], box[1], 4096.0 / wp.max(box[2] - box[0], 1.0e-12), 4096.0 / wp.max(box[3] - box[1], 1.0e-12))
 
 
 @wp.kernel(enable_backward=False)
@@ -343,7 +312,8 @@ class Packer:
         def launch(kernel: Any, dim: int, *inputs: Any) -> None:
             wp.launch(kernel, dim=dim, inputs=inputs, device=device)
 
-        launch(clear_extents, 4 * 7 * 64 * tiles.lights, self._extents, self._misfits)
+        launch(clear_extents, 4 * 7 * 64 * tiles.lights, self._extents)
+        self._misfits.zero_()
         launch(measure_rays, count, tiles, rays, group, self._extents, self._misfits)
         launch(fit_faces, groups, tiles, self._extents, self._misfits)
         launch(make_keys, count, tiles, rays, states, group, sort.keys, sort.values)

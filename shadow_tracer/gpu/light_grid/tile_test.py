@@ -5,8 +5,8 @@ The planes are those that the shadow test has stored (``triangle_planes.py``): o
 + B v + C, and the triangle's own plane P is linear in (u, v, t). A box is rejected if a plane is negative all over it
 by more than its pad, or if the triangle's bounds miss it; the triangle covers the box if every plane is positive all
 over it by more than its pad. So a box that holds an occluded ray is not rejected, and every ray of a covered box is
-occluded, the light's position, poles and seams do not matter. Pads are those of ``light_space.py``, with M = 6 + 2.001
-max |t|.
+occluded, wherever the light is; there are no poles and no seams. Pads are those of ``light_space.py``, with M = 6 +
+2.001 max |t|.
 """
 
 from __future__ import annotations
