@@ -9,116 +9,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.gpu.pipelines import resolve
+from shadow_tracer.frame import Frame, State
+from shadow_tracer.gpu.pipelines import available_pipelines, resolve
+from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, finite
-from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SpotLight
+from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray
+from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
 from shadow_tracer.scene.mesh import Scene
 
-ByteImage = npt.NDArray[np.uint8]
-
-
-class State(IntEnum):
-    """What is known about a pixel and a light."""
-
-    LIT = 0
-    """Nothing stands between the sample and the light."""
-    SHADOWED = 1
-    """A triangle does."""
-    OUTSIDE = 2
-    """The sample is beyond the light's cone or range: not lit, not shadowed, not traced."""
-    INVALID = 3
-    """The pixel has no depth."""
-
-
-@dataclass(frozen=True)
-class Bias:
-    """How far a ray starts from its sample, towards the light: ``constant + quadratic * z**2`` with z the depth [m].
-
-    Measured depth lies before and behind the true surface, so without a bias surfaces shadow themselves; stereo and
-    structured light noise grows with z squared.
-
-    Args:
-        constant: metres, at least 0.
-        quadratic: metres per square metre, at least 0.
-
-    Raises:
-        ValueError: a value is negative or not finite; the message names it.
-    """
-
-    constant: float = 0.01
-    quadratic: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("constant", "quadratic"):
-            value = finite(getattr(self, name), f"bias.{name}")
-            if not 0.0 <= value <= LARGEST:
-                raise ValueError(f"bias.{name}: expected a number from 0 to {LARGEST:g}, got {value!r}")
-            object.__setattr__(self, name, value)
-
-
-class Frame:
-    """Result of one traced depth image: a state per pixel and light, stage times and counters."""
-
-    def __init__(
-        self, names: tuple[str, ...], states: npt.NDArray[np.uint8], stages: dict[str, float], counters: dict[str, int]
-    ) -> None:
-        self.names = names
-        """Light names in the order given to :meth:`ShadowTracer.trace`."""
-        self.stages = stages
-        """Milliseconds per stage, in order."""
-        self.counters = counters
-        """What was done for all lights together: ``rays`` traced, ``nodes_visited`` of a tree, ``accepted`` ones that a
-        triangle covers, ``passes`` through a tree of rays, ``peak_queue`` entries of the fullest queue, ``leaf_tests``
-        of the float32 filter, ``retested`` pairs it could not decide, ``exact`` determinants that needed expansion
-        arithmetic, ``overflow_passes`` because the queue was full; and of the scene: ``triangles``, ``degenerate``
-        ones among them that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not
-        finite), and ``culled`` ones, which cast nothing because their front faces the last light and front faces are
-        culled."""
-        self._states = states
-
-    def state(self, name: str) -> ByteImage:
-        """(H, W) uint8 image of :class:`State` values for the light ``name``."""
-        if name not in self.names:
-            raise ValueError(f"name: expected one of {list(self.names)}, got {name!r}")
-        return self._states[self.names.index(name)]
-
-    def mask(self, name: str | None = None, unknown: int = 0) -> ByteImage:
-        """(H, W) uint8 visibility mask: 255 lit, 0 in shadow or outside the light, ``unknown`` where depth is invalid.
-
-        Args:
-            name: a light, or None: 255 where at least one light reaches.
-            unknown: value of pixels without depth, 0 to 255.
-
-        Raises:
-            ValueError: no such light, or ``unknown`` out of range.
-        """
-        if not 0 <= unknown <= 255:
-            raise ValueError(f"unknown: expected an integer from 0 to 255, got {unknown!r}")
-        # LIT is the least state, and a pixel without depth is INVALID for every light.
-        state = self._states.min(axis=0) if name is None else self.state(name)
-        mask: ByteImage = np.negative((state == State.LIT).view(np.uint8))  # 1 becomes 255
-        if unknown:
-            mask[state == State.INVALID] = unknown
-        return mask
-
-    def bits(self) -> npt.NDArray[np.uint16]:
-        """(H, W) uint16 image in which bit i is set where light i (in the order of ``names``) reaches; up to 16
-        lights."""
-        if len(self.names) > 16:
-            raise ValueError(f"bits: expected at most 16 lights, got {len(self.names)}")
-        bits = np.zeros(self._states.shape[1:], dtype=np.uint16)
-        for index in range(len(self.names)):
-            bits |= (self._states[index] == State.LIT).astype(np.uint16) << np.uint16(index)
-        return bits
+_HARD = (PointLight, SpotLight, DirectionalLight)
+_LIGHTS = (*_HARD, SphereLight)
 
 
 class ShadowTracer:
@@ -158,6 +64,7 @@ class ShadowTracer:
                 raise
             raise ImportError("shadow_tracer needs NVIDIA Warp to trace: pip install 'warp-lang>=1.19'") from error
         self._engine = engine.Engine(devices.pick_device(device), self._bounds, *self._names, graphs)
+        self._last: tuple[tuple[Any, ...], Frame] | None = None  # what was traced last, and the answer
         self.front_face_culling = front_face_culling
         self.scene = Scene(self._bounds)
         """The world; change it through its methods between frames."""
@@ -201,7 +108,7 @@ class ShadowTracer:
 
     @property
     def device_bytes(self) -> int:
-        """Bytes reserved on the device."""
+        """Bytes reserved on the device, those of :meth:`verify` among them."""
         return self._engine.nbytes()
 
     def select(self, pipeline: str, variant: str | None = None) -> None:
@@ -214,10 +121,16 @@ class ShadowTracer:
         if names != self._names:
             self._engine.select(*names)
             self._names = names
+            self._last = None
 
     def warm_up(self) -> float:
         """Compile or load every kernel by tracing a small scene of its own; returns the seconds it took."""
         begin = time.perf_counter()
+        self._trace_triangle()
+        return time.perf_counter() - begin
+
+    def _trace_triangle(self) -> None:
+        self._last = None
         scene = Scene(self._bounds)
         scene.put("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1)], [(0, 1, 2)])
         camera = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
@@ -225,8 +138,7 @@ class ShadowTracer:
         for depth in (np.full((1, 1), 2.0, np.float32), np.full((1, 1), 2000, np.uint16)):
             self._engine.trace_depth(scene, depth, camera, [light], (0.0, 0.0))
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
-        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), light, 0.0)
-        return time.perf_counter() - begin
+        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0)
 
     def occluded(self, points: Any, light: Light, bias: float = 0.0) -> npt.NDArray[np.bool_]:
         """Whether each point is in the shadow of ``light``.
@@ -242,12 +154,7 @@ class ShadowTracer:
         Raises:
             ValueError: wrong shape, a value that is not finite (its index is named), or not a light.
         """
-        positions = np.asarray(points)
-        if positions.ndim == 0 or positions.shape[-1] != 3 or positions.dtype.kind not in "fiu":
-            raise ValueError(
-                f"points: expected real numbers of shape (..., 3), got shape {positions.shape} of {positions.dtype}"
-            )
-        flat = np.ascontiguousarray(positions, dtype=np.float64).reshape(-1, 3)
+        positions, flat = _positions(points)
         finite_rows = (np.abs(flat) <= LARGEST).all(axis=1)
         if not finite_rows.all():
             bad = int(np.flatnonzero(~finite_rows)[0])
@@ -256,15 +163,46 @@ class ShadowTracer:
                 f"points: expected finite positions of at most {LARGEST:g}, got {flat[bad].tolist()} at index {where} "
                 f"and {int((~finite_rows).sum())} such points in all; select the finite ones first"
             )
-        _check_light(light, "light")
+        if not isinstance(light, _HARD):
+            hint = "; states_at says where none, some or all of it reaches" if isinstance(light, SphereLight) else ""
+            got = type(light).__name__
+            raise ValueError(f"light: expected a PointLight, SpotLight or DirectionalLight, got {got}{hint}")
         constant = Bias(constant=bias).constant
         hidden = np.empty(len(flat), dtype=np.bool_)
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
             hidden[piece] = (
-                self._engine.trace_points(self.scene, flat[piece], light, constant).states[0] == State.SHADOWED
+                self._engine.trace_points(self.scene, flat[piece], [light], constant).states[0] == State.SHADOWED
             )
         return hidden.reshape(positions.shape[:-1])
+
+    def states_at(self, points: Any, lights: Sequence[Light], bias: float = 0.0) -> npt.NDArray[np.uint8]:
+        """What is known about each point and light: what :meth:`trace` says of pixels.
+
+        Args:
+            points: (..., 3) positions in the world [m]; any leading shape, also none. Those with a coordinate that is
+                not finite, or beyond 1e50, are INVALID.
+            lights: at least one, with different names.
+            bias: distance from the point towards the light at which occluders begin to count [m].
+
+        Returns:
+            (L, ...) uint8 array of :class:`State` values: light after light, each of the leading shape.
+
+        Raises:
+            ValueError: an argument is malformed; the message names it.
+            BoundsError: more lights than declared.
+        """
+        positions, flat = _positions(points)
+        names = self._check_lights(lights)
+        constant = Bias(constant=bias).constant
+        valid = (np.abs(flat) <= LARGEST).all(axis=1)
+        flat = np.where(valid[:, None], flat, 0.0)
+        states = np.empty((len(names), len(flat)), dtype=np.uint8)
+        for begin in range(0, len(flat), self._bounds.max_rays):
+            piece = slice(begin, begin + self._bounds.max_rays)
+            traced = self._engine.trace_points(self.scene, flat[piece], list(lights), constant, valid[piece])
+            states[:, piece] = traced.states
+        return states.reshape(len(names), *positions.shape[:-1])
 
     def trace(self, depth: Any, camera: Camera, lights: Sequence[Light], bias: Bias | float | None = None) -> Frame:
         """Which pixels does each light reach?
@@ -283,6 +221,100 @@ class ShadowTracer:
             ValueError: an argument is malformed; the message names it.
             BoundsError: the image or the number of lights exceeds the declared bounds.
         """
+        image, names, checked = self._check_frame(depth, camera, lights, bias)
+        frame = self._trace(image, camera, lights, names, checked)
+        self._last = self._key(camera, lights, checked), frame
+        return frame
+
+    def verify(
+        self,
+        depth: Any,
+        camera: Camera,
+        lights: Sequence[Light],
+        bias: Bias | float | None = None,
+        against: str | None = None,
+    ) -> int:
+        """In how many (pixel, light) pairs the answer differs from that of a second, different pipeline; 0 is right.
+
+        The answer in question is the frame that the last :meth:`trace` returned, if it was of exactly these inputs: the
+        same camera and light objects, the same bias, the same bits of depth, and nothing has changed in the scene
+        since; then this costs one trace by the second pipeline. Else the frame is traced by the tracer's own pipeline
+        first, as :meth:`trace` would.
+
+        The second pipeline is given the image, the camera and the lights once more, makes its own rays and triangle
+        records and keeps its own search structure. It shares the copy of the scene on the device, and the arithmetic
+        of a single sample and triangle: what it cannot notice is damage to these.
+
+        The first call, or :meth:`prepare_verify`, allocates its buffers; they are kept until :meth:`release_verify` or
+        until :meth:`select` chooses that pipeline. Right after it, :meth:`trace` sets up its triangles again.
+
+        Args:
+            depth, camera, lights, bias: as for :meth:`trace`.
+            against: the second pipeline, in its default variant; another one than in use. None is the one prepared, or
+                mesh_bvh, or light_grid where mesh_bvh is in use.
+
+        Returns:
+            Number of pairs, at most H * W * len(lights).
+
+        Raises:
+            ValueError: an argument is malformed; the message names it.
+            BoundsError: the image or the number of lights exceeds the declared bounds.
+        """
+        image, names, checked = self._check_frame(depth, camera, lights, bias)
+        self._employ(against)
+        key = self._key(camera, lights, checked)
+        if self._last is not None and self._last[0] == key and self._engine.holds(image):
+            answer = self._last[1]
+        else:
+            answer = self._trace(image, camera, lights, names, checked)
+            self._last = key, answer
+        with self._engine.second_opinion():
+            return answer.differing(self._trace(image, camera, lights, names, checked))
+
+    def prepare_verify(self, against: str | None = None) -> float:
+        """Allocate the buffers of :meth:`verify`'s second pipeline and compile or load its kernels, so that no frame
+        has to wait for it; returns the seconds it took.
+
+        Raises:
+            ValueError: ``against`` is not another pipeline than the one in use.
+        """
+        begin = time.perf_counter()
+        self._employ(against)
+        with self._engine.second_opinion():
+            self._trace_triangle()
+        return time.perf_counter() - begin
+
+    def release_verify(self) -> None:
+        """Free the buffers of :meth:`verify`'s second pipeline, if there are any."""
+        self._engine.release_second()
+
+    def _employ(self, against: str | None) -> None:
+        if against is None:
+            against = self._engine.second or ("light_grid" if self.pipeline == "mesh_bvh" else "mesh_bvh")
+        others = [name for name in available_pipelines() if name != self.pipeline]
+        if against not in others:
+            raise ValueError(f"against: expected one of {', '.join(others)}, got {against!r}")
+        self._engine.employ_second(*resolve(against, None))
+
+    def _key(self, camera: Camera, lights: Sequence[Light], bias: Bias) -> tuple[Any, ...]:
+        # Cameras and lights are compared by identity: they are frozen, and those of a node are the same for both calls.
+        return (id(camera), camera), tuple(lights), bias, self.scene.revision, self.front_face_culling
+
+    def _trace(
+        self, image: npt.NDArray[Any], camera: Camera, lights: Sequence[Light], names: tuple[str, ...], bias: Bias
+    ) -> Frame:
+        result = self._engine.trace_depth(self.scene, image, camera, list(lights), (bias.constant, bias.quadratic))
+        states = result.states.reshape(len(names), *image.shape)
+        reached = {
+            light.name: (result.reached[number].reshape(image.shape), light.samples)
+            for number, light in enumerate(lights)
+            if isinstance(light, SphereLight)
+        }
+        return Frame(names, states, result.stages, result.counters, reached)
+
+    def _check_frame(
+        self, depth: Any, camera: Camera, lights: Sequence[Light], bias: Bias | float | None
+    ) -> tuple[npt.NDArray[Any], tuple[str, ...], Bias]:
         image = np.asarray(depth)
         if image.ndim != 2:
             raise ValueError(f"depth: expected shape (H, W), got {image.shape}")
@@ -304,13 +336,10 @@ class ShadowTracer:
             bias = Bias()
         elif not isinstance(bias, Bias):
             bias = Bias(constant=bias)
-        result = self._engine.trace_depth(
-            self.scene, np.ascontiguousarray(image), camera, list(lights), (bias.constant, bias.quadratic)
-        )
-        return Frame(names, result.states.reshape(len(names), *image.shape), result.stages, result.counters)
+        return np.ascontiguousarray(image), names, bias
 
     def _check_lights(self, lights: Sequence[Light]) -> tuple[str, ...]:
-        if isinstance(lights, (PointLight, SpotLight, DirectionalLight)):
+        if isinstance(lights, _LIGHTS):
             raise ValueError("lights: expected a sequence of lights, got a single light; write [light]")
         for index, light in enumerate(lights):
             _check_light(light, f"lights[{index}]")
@@ -324,7 +353,17 @@ class ShadowTracer:
         return names
 
 
-def _check_light(light: Any, field: str) -> FloatArray:
-    if not isinstance(light, (PointLight, SpotLight, DirectionalLight)):
-        raise ValueError(f"{field}: expected a PointLight, SpotLight or DirectionalLight, got {type(light).__name__}")
-    return light.homogeneous
+def _check_light(light: Any, field: str) -> None:
+    if not isinstance(light, _LIGHTS):
+        kinds = "PointLight, SpotLight, DirectionalLight or SphereLight"
+        raise ValueError(f"{field}: expected a {kinds}, got {type(light).__name__}")
+
+
+def _positions(points: Any) -> tuple[npt.NDArray[Any], FloatArray]:
+    """``points`` as an array (..., 3), and as float64 (N, 3)."""
+    positions = np.asarray(points)
+    if positions.ndim == 0 or positions.shape[-1] != 3 or positions.dtype.kind not in "fiu":
+        raise ValueError(
+            f"points: expected real numbers of shape (..., 3), got shape {positions.shape} of {positions.dtype}"
+        )
+    return positions, np.ascontiguousarray(positions, dtype=np.float64).reshape(-1, 3)

@@ -37,7 +37,7 @@ ENTRIES = wp.constant(8)
 LARGEST_TILE = wp.constant(9)
 SPLITS = wp.constant(10)
 OVERFLOWS = wp.constant(11)  # further passes that a pipeline did by itself
-_LARGEST = (PEAK_QUEUE, LARGEST_TILE)  # of these the largest value of any row counts, not the sum
+LARGEST = ("peak_queue", "largest_tile")  # of these the largest value of any row counts, not the sum
 _ROWS = 64
 
 
@@ -154,7 +154,7 @@ class FrameBuffers:
         """Counter sums by name. Waits for the device."""
         rows = self.counters.numpy()
         totals = rows.sum(axis=0)
-        for column in _LARGEST:
+        for column in map(COUNTERS.index, LARGEST):
             totals[column] = rows[:, column].max()
         return dict(zip(COUNTERS, (int(v) for v in totals), strict=True))
 

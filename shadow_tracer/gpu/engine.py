@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu import light_frame, projection, shadow_test, unproject
-from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
+from shadow_tracer.gpu import light_frame, projection, shadow_test, soft, unproject
+from shadow_tracer.gpu.buffers import Change, FrameBuffers, SceneBuffers, upload
 from shadow_tracer.gpu.graphs import FrameGraphs
 from shadow_tracer.gpu.light_frame import Anchor, make_anchor, make_light_frame
 from shadow_tracer.gpu.passes import Pass
@@ -23,7 +24,7 @@ from shadow_tracer.gpu.triangles import Context, TriangleRecords
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
-from shadow_tracer.scene.lights import Light
+from shadow_tracer.scene.lights import HardLight, Light
 from shadow_tracer.scene.mesh import Scene
 
 # Threads that share the queue: enough to fill a GPU, and one on the CPU where threads run one after the other.
@@ -32,11 +33,22 @@ _RESOLVERS_CUDA = 65536
 
 @dataclass(frozen=True)
 class Traced:
-    """Result of a frame: (L, N) uint8 states, milliseconds per stage, counters."""
+    """Result of a frame: (L, N) uint8 states, milliseconds per stage, counters; for each sphere light by its number
+    (N,) how many of its points reach."""
 
     states: npt.NDArray[np.uint8]
     stages: dict[str, float]
     counters: dict[str, int]
+    reached: dict[int, npt.NDArray[np.uint16]] = field(default_factory=dict)
+
+
+@dataclass
+class _Employed:
+    """A pipeline, its name and variant, and the worst that has happened to the scene since it last took note."""
+
+    names: tuple[str, str]
+    pipeline: Pipeline
+    news: Change = Change.TOPOLOGY
 
 
 class Engine:
@@ -52,14 +64,52 @@ class Engine:
         self._scene = SceneBuffers(bounds, device)
         self._context = Context(self._frame, self._scene, TriangleRecords(self._frame, self._scene), self.stages)
         self._anchor: Anchor | None = None
-        self._pipeline: Pipeline
+        self._first: _Employed
+        self._second: _Employed | None = None
+        self._seconding = False
         self.select(pipeline, variant)
 
+    @property
+    def _pipeline(self) -> Pipeline:
+        return self._second.pipeline if self._seconding and self._second is not None else self._first.pipeline
+
     def select(self, pipeline: str, variant: str) -> None:
-        """Use another pipeline from the next frame on; the old one's buffers are freed."""
+        """Use another pipeline from the next frame on; the old one's buffers are freed, and the second pipeline's if it
+        would be the same."""
+        if self.second == pipeline:
+            self.release_second()
         self._graphs.clear()
         self._context.records.forget()
-        self._pipeline = make_pipeline(pipeline, variant, self._context)
+        self._first = _Employed((pipeline, variant), make_pipeline(pipeline, variant, self._context))
+
+    @property
+    def second(self) -> str | None:
+        """Name of the second pipeline, None if there is none."""
+        return None if self._second is None else self._second.names[0]
+
+    def employ_second(self, pipeline: str, variant: str) -> None:
+        """Allocate the buffers of a second pipeline beside the first; scene, samples and records are shared. One that
+        was there before is freed unless it is the same."""
+        if self._second is None or self._second.names != (pipeline, variant):
+            self.release_second()
+            self._second = _Employed((pipeline, variant), make_pipeline(pipeline, variant, self._context))
+
+    def release_second(self) -> None:
+        """Free the second pipeline's buffers, if there are any."""
+        self._second = None
+
+    @contextmanager
+    def second_opinion(self) -> Iterator[None]:
+        """Frames inside are traced by the second pipeline, kernel by kernel, with triangle records made anew."""
+        assert self._second is not None
+        # Pipelines keep more of a light than its records (corners), and tell by the records whether they have it.
+        self._context.records.forget()
+        self._seconding = True
+        try:
+            yield
+        finally:
+            self._seconding = False
+            self._context.records.forget()
 
     @property
     def front_face_culling(self) -> bool:
@@ -72,7 +122,15 @@ class Engine:
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
-        return self._frame.nbytes() + self._scene.nbytes() + self._pipeline.nbytes()
+        second = self._second.pipeline.nbytes() if self._second is not None else 0
+        return self._frame.nbytes() + self._scene.nbytes() + self._first.pipeline.nbytes() + second
+
+    def holds(self, depth: np.ndarray) -> bool:
+        """Whether ``depth`` is, bit for bit, the depth image last traced in its format. Waits for the device."""
+        frame, metres = self._frame, depth.dtype == np.float32
+        held = (frame.depth_metres if metres else frame.depth_millimetres)[: depth.size].numpy()
+        integer = np.uint32 if metres else np.uint16
+        return np.array_equal(held.view(integer), depth.reshape(-1).view(integer))  # as bits: NaN equals NaN
 
     def trace_depth(
         self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: tuple[float, float]
@@ -84,40 +142,72 @@ class Engine:
         metres = depth.dtype == np.float32
         target = frame.depth_metres if metres else frame.depth_millimetres
         with self.stages.stage("upload"):
-            change = self._scene.sync(scene)
+            self._sync(scene)
             upload(target, depth.reshape(-1))
         frame.set_samples(depth.size, camera.width)
         self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
         frame.set_camera(make_pinhole(camera, bias))
-        self._pipeline.update(change)
-        return self._trace_lights(lights, target)
+        self._take_note()
+        return self._trace_all(lights, target)
 
-    def trace_points(self, scene: Scene, points: FloatArray, light: Light, bias: float) -> Traced:
-        """States of (N, 3) points, N at most ``bounds.max_rays``."""
+    def trace_points(
+        self,
+        scene: Scene,
+        points: FloatArray,
+        lights: Sequence[Light],
+        bias: float,
+        valid: npt.NDArray[np.bool_] | None = None,
+    ) -> Traced:
+        """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
+        is all valid."""
         self.stages.reset()
         frame = self._frame
         with self.stages.stage("upload"):
-            change = self._scene.sync(scene)
+            self._sync(scene)
             samples = np.empty((len(points), 4))
             samples[:, :3] = points
             samples[:, 3] = bias
             upload(frame.samples, samples)
-            upload(frame.valid, np.ones(len(points), dtype=np.uint8))
+            upload(frame.valid, (np.ones(len(points), np.bool_) if valid is None else valid).view(np.uint8))
         frame.set_samples(len(points), 0)
-        low, high = points.min(axis=0), points.max(axis=0)
+        seen = points if valid is None or not valid.any() else points[valid]
+        low, high = seen.min(axis=0), seen.max(axis=0)
         center = 0.5 * low + 0.5 * high
         self._anchor = make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), self._anchor)
-        self._pipeline.update(change)
-        return self._trace_lights([light], None)
+        self._take_note()
+        return self._trace_all(lights, None)
 
-    def _trace_lights(self, lights: Sequence[Light], depth: wp.array | None) -> Traced:
+    def _sync(self, scene: Scene) -> None:
+        change = self._scene.sync(scene)
+        for employed in (self._first, self._second):
+            if employed is not None:
+                employed.news = max(employed.news, change)
+
+    def _take_note(self) -> None:
+        employed = self._second if self._seconding and self._second is not None else self._first
+        employed.pipeline.update(employed.news)
+        employed.news = Change.NOTHING
+
+    def _trace_all(self, lights: Sequence[Light], depth: wp.array | None) -> Traced:
+        if not soft.is_soft(lights):
+            return self._trace_lights(lights, depth)
+        tally = soft.Tally(lights, self._frame.count, self.bounds.max_lights)
+        counters: dict[str, int] = {}
+        for first, batch in tally.batches():
+            traced = self._trace_lights(batch, depth if first == 0 else None)
+            tally.add(first, traced.states)
+            counters = soft.add_up(counters, traced.counters)
+        states, reached = tally.result()
+        return Traced(states, traced.stages, counters, reached)
+
+    def _trace_lights(self, lights: Sequence[HardLight], depth: wp.array | None) -> Traced:
         frame = self._frame
         assert self._anchor is not None
         light_frames = [make_light_frame(light, self._anchor, index) for index, light in enumerate(lights)]
         frame.set_lights(light_frames)
         passes = self._passes(light_frames)
         stale = self._context.records.plan(light_frames, len(passes[0].lights))
-        if self._use_graphs and self._pipeline.recordable:
+        if self._use_graphs and self._pipeline.recordable and not self._seconding:
             source = None if depth is None else depth.dtype.__name__
             triangles, vertices = self._scene.triangle_count, self._scene.vertex_count
             key = (source, frame.count, frame.width, triangles, vertices, self.front_face_culling, stale)

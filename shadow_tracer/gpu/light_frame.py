@@ -22,9 +22,9 @@ import warp as wp
 
 from shadow_tracer.gpu.exact import ARITHMETIC
 from shadow_tracer.scene.checks import FloatArray
-from shadow_tracer.scene.lights import Light
+from shadow_tracer.scene.lights import HardLight
 
-# Values of the state image; shadow_tracer.tracer.State is the public name. PENDING never leaves the device.
+# Values of the state image; shadow_tracer.frame.State is the public name. PENDING never leaves the device.
 LIT = wp.constant(0)
 SHADOWED = wp.constant(1)
 OUTSIDE = wp.constant(2)
@@ -73,7 +73,7 @@ def make_anchor(center: FloatArray, radius: float, previous: Anchor | None) -> A
     return Anchor((x, y, z), 1.5 * radius)
 
 
-def make_light_frame(light: Light, anchor: Anchor, number: int = 0) -> LightFrame:
+def make_light_frame(light: HardLight, anchor: Anchor, number: int = 0) -> LightFrame:
     """Frame of ``light``, the ``number``-th of its frame, over the samples at ``anchor``."""
     homogeneous = light.homogeneous
     center = np.asarray(anchor.center)

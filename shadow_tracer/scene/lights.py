@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lights, and what each means geometrically.
 
-Every light is, for the shadow test, one homogeneous point ``(x, y, z, w)``: a position with w = 1, or the direction
-*to* the light with w = 0 when it is infinitely far away. ``direction`` is always the way light travels.
+Every hard light is, for the shadow test, one homogeneous point ``(x, y, z, w)``: a position with w = 1, or the
+direction *to* the light with w = 0 when it is infinitely far away; a sphere light is many. ``direction`` is always the
+way light travels.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from shadow_tracer.scene.checks import FloatArray, direction3, name_of, vector3
+from shadow_tracer.scene.checks import LARGEST, FloatArray, direction3, name_of, vector3
 
 # Three real numbers in any form going in, a read-only float64 array coming out.
 Vector = Any
@@ -146,13 +148,63 @@ class DirectionalLight:
         return np.array([0.0, 0.0, 1.0]), -2.0
 
 
+@dataclass(frozen=True, eq=False)
 class SphereLight:
-    """A spherical light with soft shadows. Not available yet: making one raises NotImplementedError."""
+    """A glowing sphere, which casts soft shadows: ``samples`` points spread evenly over its surface, each of which
+    shines like a :class:`PointLight`. How many of them reach a place is its visibility. The sphere casts no shadow.
 
-    def __init__(self, name: str, position: Any, radius: float) -> None:
-        raise NotImplementedError(
-            f"SphereLight {name!r}: soft shadows are not available yet; PointLight gives its centre's hard shadow"
-        )
+    Args:
+        name: how the light is called in results; a non-empty string.
+        position: (3,) centre in the world [m].
+        radius: positive [m].
+        range: samples of the scene farther than this from the centre are OUTSIDE [m]; infinity by default.
+        samples: number of points, 2 to 1024.
+    """
+
+    name: str
+    position: Vector
+    radius: float
+    range: float = math.inf
+    samples: int = 32
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "name")
+        _freeze(self, "position", vector3(self.position, "position"))
+        try:
+            radius = float(self.radius)
+        except (TypeError, ValueError):
+            radius = math.nan
+        if not 0.0 < radius <= LARGEST or not (np.abs(self.position) + radius <= LARGEST).all():
+            raise ValueError(f"radius: expected a positive length in metres, got {self.radius!r}")
+        object.__setattr__(self, "radius", radius)
+        object.__setattr__(self, "range", _range(self.range))
+        count = self.samples
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or not 2 <= count <= 1024:
+            raise ValueError(f"samples: expected an integer from 2 to 1024, got {count!r}")
+        object.__setattr__(self, "samples", int(count))
+
+    @property
+    def points(self) -> FloatArray:
+        """(samples, 3) the points on the surface [m], the same bits on every machine."""
+        return self.position + self.radius * _lattice(self.samples)
 
 
-Light = PointLight | SpotLight | DirectionalLight
+@cache
+def _lattice(count: int) -> FloatArray:
+    """(count, 3) points on the unit sphere: equal steps along z, each turned on by the golden angle (a Fibonacci
+    lattice). Turned by multiplication: sines differ between machines in the last bit."""
+    cosine, sine = -0.7373688780783197, 0.6754902942615238
+    x, y = 1.0, 0.0
+    points = np.empty((count, 3))
+    for k in range(count):
+        z = 1.0 - (2 * k + 1) / count
+        ring = math.sqrt(1.0 - z * z)
+        points[k] = ring * x, ring * y, z
+        x, y = x * cosine - y * sine, x * sine + y * cosine
+    points.setflags(write=False)
+    return points
+
+
+HardLight = PointLight | SpotLight | DirectionalLight
+"""What casts hard shadows: one homogeneous point."""
+Light = HardLight | SphereLight

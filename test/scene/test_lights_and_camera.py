@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadow_tracer import Bias, Bounds, BoundsError, Camera, DirectionalLight, PointLight, SphereLight, SpotLight, State
+from shadow_tracer import Bias, Bounds, BoundsError, Camera, DirectionalLight, PointLight, SpotLight, State
 
 _GOOD: dict[type, dict[str, Any]] = {
     PointLight: {"name": "lamp", "position": (1, 2, 3)},
@@ -95,14 +95,10 @@ def test_defaults_of_the_contract() -> None:
         4_194_304,
     )
     assert (Bias().constant, Bias().quadratic) == (0.01, 0.0)
-    assert [(s.name, s.value) for s in State] == [("LIT", 0), ("SHADOWED", 1), ("OUTSIDE", 2), ("INVALID", 3)]
+    states = [("LIT", 0), ("SHADOWED", 1), ("OUTSIDE", 2), ("INVALID", 3), ("PENUMBRA", 4)]
+    assert [(s.name, s.value) for s in State] == states
     assert issubclass(BoundsError, ValueError)
     np.testing.assert_array_equal(Camera(2, 2, 1, 1, 0, 0).camera_to_world, np.eye(4))
-
-
-def test_sphere_lights_say_not_yet() -> None:
-    with pytest.raises(NotImplementedError, match="not"):
-        SphereLight("moon", (0, 0, 0), 0.5)
 
 
 def test_unproject_is_the_pinhole_formula() -> None:

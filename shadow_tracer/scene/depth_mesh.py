@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A depth image as an occluder: the surface the camera sees, as triangles between neighbouring pixels.
+
+Every ``step``-th pixel is a corner, four corners a cell, two triangles a cell. Nothing is guessed: where a corner has
+no depth, or where its depth jumps, which is the outline of something in front of something else, there is no triangle.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.checks import LARGEST, FloatArray
+
+IntArray = npt.NDArray[np.int32]
+_BoolArray = npt.NDArray[np.bool_]
+
+_LARGEST_JUMP = 1e6
+_BAND = 32768  # corners
+
+
+def depth_mesh(depth: Any, camera: Camera, step: int, max_jump: float) -> tuple[FloatArray, IntArray]:
+    """The surface in a depth image as a triangle mesh.
+
+    Corners are the pixels in columns and rows 0, step, 2 step, ...; their vertices are exactly the samples that
+    :meth:`ShadowTracer.trace` makes of these pixels. A cell is cut along the diagonal whose ends differ less in depth
+    (the one from its upper left corner if both do alike), or along the only one that does not jump. A triangle is left
+    out where one of its corners has no depth, or where one depth is more than ``1 + max_jump`` times another.
+    Triangles are counter-clockwise seen from the camera.
+
+    Args:
+        depth: (H, W) float32 metres along the optical axis (zero, negative and non-finite values are no measurement)
+            or uint16 millimetres (0 is none).
+        camera: intrinsics; its pose does not matter.
+        step: pixels from corner to corner, at least 1.
+        max_jump: the largest relative difference of depth within a triangle, above 0 and at most 1e6.
+
+    Returns:
+        ``vertices`` (V, 3) float64 in the optical frame [m], row by row, ``V = ceil(H / step) * ceil(W / step)``:
+        corners without depth are there too, at the origin, and belong to no triangle; and ``triangles`` (T, 3) int32.
+        Both are read-only.
+
+    Raises:
+        ValueError: an argument is malformed; the message names it.
+    """
+    image = _checked(depth, camera, step, max_jump)
+    z = _corner_depths(image[::step, ::step])
+    across = (np.arange(0, camera.width, step, dtype=np.float64) - camera.cx) / camera.fx
+    down = (np.arange(0, camera.height, step, dtype=np.float64) - camera.cy) / camera.fy
+    _drop_huge(z, across, down)
+    triangles = _triangles(z, max_jump)
+    vertices = _vertices(z, across, down)
+    for array in (vertices, triangles):
+        array.setflags(write=False)
+    return vertices, triangles
+
+
+def _checked(depth: Any, camera: Camera, step: int, max_jump: float) -> npt.NDArray[Any]:
+    image = np.asarray(depth)
+    if image.dtype not in (np.float32, np.uint16):
+        raise ValueError(f"depth: expected dtype float32 (metres) or uint16 (millimetres), got {image.dtype}")
+    if image.shape != (camera.height, camera.width):
+        raise ValueError(f"depth: expected shape {(camera.height, camera.width)} as the camera has, got {image.shape}")
+    if isinstance(step, bool) or not isinstance(step, (int, np.integer)) or step < 1:
+        raise ValueError(f"step: expected an integer of at least 1, got {step!r}")
+    if not 0.0 < max_jump <= _LARGEST_JUMP:
+        raise ValueError(f"max_jump: expected a number above 0 and at most {_LARGEST_JUMP:g}, got {max_jump!r}")
+    return image
+
+
+def _corner_depths(picked: npt.NDArray[Any]) -> FloatArray:
+    """Depths of the corners [m], NaN where nothing was measured: NaN is near to nothing."""
+    z = picked.astype(np.float64)
+    if picked.dtype == np.uint16:
+        z /= 1000.0
+        z[picked == 0] = np.nan
+    else:
+        z[~((z > 0.0) & (z < np.inf))] = np.nan
+    return z
+
+
+def _drop_huge(z: FloatArray, across: FloatArray, down: FloatArray) -> None:
+    """Corners whose coordinates would be too large to calculate with become NaN. Only absurd focal lengths make
+    such."""
+    steepest = max(float(np.abs(across).max()), float(np.abs(down).max()))
+    if steepest > LARGEST / float(np.finfo(np.float32).max):
+        with np.errstate(over="ignore", invalid="ignore"):
+            z[~((np.abs(across * z) <= LARGEST) & (np.abs(down[:, None] * z) <= LARGEST))] = np.nan
+
+
+def _triangles(z: FloatArray, max_jump: float) -> IntArray:
+    """Triangles between corners, which are numbered row by row."""
+    rows, columns = z.shape
+    triangles = np.empty((2 * (rows - 1) * (columns - 1), 3), np.int32)
+    # A band of rows at a time: what is calculated on the way stays in the cache.
+    height = max(1, _BAND // columns)
+    count = 0
+    for first in range(0, rows - 1, height):
+        for found, corners in _band(z[first : first + height + 1], max_jump):
+            end = count + len(found)
+            for k, corner in enumerate(corners):
+                np.add(found, first * columns + corner, out=triangles[count:end, k], casting="same_kind")
+            count = end
+    triangles.resize((count, 3), refcheck=False)
+    return triangles
+
+
+def _band(z: FloatArray, max_jump: float) -> list[tuple[npt.NDArray[np.intp], tuple[int, int, int]]]:
+    """Of the corners a b above and c d below of each cell: for each of the four triangles there can be, the cells that
+    have it, numbered as their corner a is, and its corners as distances from a."""
+    rows, columns = z.shape
+    limit = z * (1.0 + max_jump)
+
+    def near(first: tuple[slice, slice], second: tuple[slice, slice]) -> _BoolArray:
+        result: _BoolArray = z[first] <= limit[second]
+        result &= z[second] <= limit[first]
+        return result
+
+    every, head, tail = slice(None), slice(None, -1), slice(1, None)
+    across, down = near((every, head), (every, tail)), near((head, every), (tail, every))
+    top, bottom, left, right = across[head], across[tail], down[:, head], down[:, tail]
+    falling, rising = near((head, head), (tail, tail)), near((head, tail), (tail, head))
+    steeper = np.abs(z[head, head] - z[tail, tail]) > np.abs(z[head, tail] - z[tail, head])
+    falling &= ~(steeper & rising)
+    rising &= ~falling
+    # The last column has no cell; it is there for the numbering.
+    cells = np.zeros((rows - 1, columns), np.bool_)
+    found = []
+    a, b, c, d = 0, 1, columns, columns + 1
+    for kept, corners in (
+        (falling & left & bottom, (a, c, d)),
+        (falling & right & top, (a, d, b)),
+        (rising & left & top, (a, c, b)),
+        (rising & right & bottom, (b, c, d)),
+    ):
+        cells[:, head] = kept
+        found.append((np.flatnonzero(cells), corners))
+    return found
+
+
+def _vertices(z: FloatArray, across: FloatArray, down: FloatArray) -> FloatArray:
+    vertices = np.empty((z.size, 3))
+    grid = vertices.reshape(*z.shape, 3)
+    z[np.isnan(z)] = 0.0
+    np.multiply(across, z, out=grid[..., 0])
+    np.multiply(down[:, None], z, out=grid[..., 1])
+    grid[..., 2] = z
+    return vertices

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The built-in self-test: right on this machine, and able to say so when something is not."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import oracle
+import pytest
+
+from shadow_tracer import DirectionalLight, SpotLight, State, available_pipelines, self_test
+from shadow_tracer.gpu.brute_force import BruteForce
+from shadow_tracer.gpu.engine import Engine
+from shadow_tracer.gpu.light_grid.packed import PackedGrid
+from shadow_tracer.gpu.mesh_bvh import MeshBvh
+
+_NAMES = ["brute_force", *(name for name in available_pipelines() if name != "brute_force")]
+
+
+def test_all_pipelines_are_right(any_device: str) -> None:
+    self_test.run(any_device)  # kernels are loaded
+    begin = time.perf_counter()
+    results = self_test.run(any_device)
+    seconds = time.perf_counter() - begin
+    assert [result.pipeline for result in results] == _NAMES
+    for result in results:
+        assert result.ok and result.differing == 0 and result.text == "", result
+        assert result.variant == available_pipelines()[result.pipeline][0] and 0.0 < result.seconds < seconds
+    assert seconds < 2.0
+
+
+def _expected() -> list[list[np.ndarray]]:
+    """States by the oracle, per frame and light; no sample may be near the edge of a light."""
+    depth, camera, frames = self_test.depth(), self_test.camera(), []
+    valid = np.isfinite(depth) & (depth > 0)
+    points = camera.unproject(np.where(valid, depth, 1.0))
+    for number in range(2):
+        states = []
+        for light in self_test.LIGHTS:
+            answer = oracle.occluded(points, light, *self_test.sheet(number), self_test.BIAS)
+            assert not answer.tie.any()
+            state = np.where(answer.hidden.reshape(depth.shape), State.SHADOWED, State.LIT).astype(np.uint8)
+            if not isinstance(light, DirectionalLight):
+                way = points - light.position
+                distance = np.linalg.norm(way, axis=-1)
+                assert abs(distance - light.range).min() > 1e-6
+                state[distance > light.range] = State.OUTSIDE
+                if isinstance(light, SpotLight):
+                    cosine = way @ light.direction / np.linalg.norm(light.direction) / distance
+                    assert abs(cosine - np.cos(light.outer_angle)).min() > 1e-6
+                    state[cosine < np.cos(light.outer_angle)] = State.OUTSIDE
+            state[~valid] = State.INVALID
+            states.append(state)
+        frames.append(states)
+    return frames
+
+
+def test_the_checksum_is_that_of_the_oracle() -> None:
+    """So the self-test cannot be content with pipelines that are wrong alike. Every state occurs in its scene."""
+    expected = _expected()
+
+    class Known:
+        def __init__(self, states: list[np.ndarray]) -> None:
+            self._states = dict(zip((light.name for light in self_test.LIGHTS), states, strict=True))
+
+        def state(self, name: str) -> np.ndarray:
+            return self._states[name]
+
+    frames: Any = [Known(states) for states in expected]
+    assert self_test.checksum(frames) == self_test._CHECKSUM
+    counts = np.bincount(np.concatenate([state.reshape(-1) for states in expected for state in states]), minlength=4)
+    assert (counts > 100).all()
+    assert sum(int((a != b).sum()) for a, b in zip(*expected, strict=True)) > 100, "the deformed sheet casts others"
+
+
+def test_a_wrong_pipeline_is_named(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that leaves out the last light, so that its shadows are lit: exactly these pairs are counted."""
+    shadows = sum(int((states[2] == State.SHADOWED).sum()) for states in _expected())
+    attempt = Engine._attempt
+
+    def all_but_the_last(this: Any, work: Any) -> None:
+        attempt(this, work)
+        if isinstance(this._pipeline, PackedGrid):
+            states = this._frame.states_of(2)
+            host = states.numpy()
+            states.assign(np.where(host == State.SHADOWED, np.uint8(State.LIT), host))
+
+    monkeypatch.setattr(Engine, "_attempt", all_but_the_last)
+    results = {result.pipeline: result for result in self_test.run(any_device)}
+    wrong = results.pop("light_grid")
+    if any_device == "cpu":
+        assert (wrong.ok, wrong.differing) == (False, shadows)
+        assert str(shadows) in wrong.text and "brute_force" in wrong.text
+    else:  # a recording cannot read back
+        assert not wrong.ok
+    assert all(result.ok for result in results.values())
+
+
+def test_a_pipeline_that_fails_is_named(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(this: Any, work: Any) -> None:
+        raise RuntimeError("out of luck")
+
+    monkeypatch.setattr(MeshBvh, "trace", fail)
+    results = {result.pipeline: result for result in self_test.run(any_device)}
+    assert not results["mesh_bvh"].ok and "out of luck" in results["mesh_bvh"].text
+    assert results["mesh_bvh"].differing == 2 * 64 * 48 * 3
+    assert all(result.ok for name, result in results.items() if name != "mesh_bvh")
+
+
+def test_a_wrong_reference_is_found_out(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BruteForce, "trace", lambda this, work: None)
+    results = self_test.run(any_device)
+    assert not any(result.ok for result in results)
+    assert "checksum" in results[0].text
+
+
+def test_chosen_pipelines_and_progress(any_device: str) -> None:
+    told: list[Any] = []
+    results = self_test.run(any_device, ["mesh_bvh", "brute_force"], lambda *args: told.append(args))
+    assert [result.pipeline for result in results] == ["brute_force", "mesh_bvh"]
+    assert told == [("brute_force", 0, 2), ("mesh_bvh", 1, 2)]
+
+
+def test_errors_name_the_argument() -> None:
+    with pytest.raises(ValueError, match="^pipeline: expected one of.*mesh_bvh.*cone"):
+        self_test.run("cpu", ["cone"])
+    with pytest.raises(ValueError, match="^device:"):
+        self_test.run("cuda:77")
