@@ -40,7 +40,12 @@ setup(
     extras_require={
         # ROS 2 Jazzy from wheels (x86_64, glibc 2.28 or newer). Beside an installed ROS 2 leave this extra out.
         "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1.6,<7.2", "ros-jazzy-common-interfaces>=5.3.6,<5.4"],
+        # mesh.files of the node: any format trimesh reads.
         "mesh": ["trimesh>=4.4"],
+        # Lights of type sun.
+        "sun": ["ephem>=4.1.5"],
+        # `shadow_tracer bag` on recordings, without ROS.
+        "bag": ["pyyaml>=6.0", "rich>=13.7", "rosbags>=0.11", "scipy>=1.11"],
         "demo": ["pillow>=10.3", "rich>=13.7"],
         "benchmark": ["embreex>=2.17.7", "matplotlib>=3.8", "pillow>=10.3", "rich>=13.7", "trimesh>=4.4"],
         "test": ["pillow>=10.3", "pytest>=8.2", "pyyaml>=6.0", "setuptools>=64"],
@@ -51,12 +56,18 @@ setup(
     package_data={NAME: ["py.typed"]},
     include_package_data=False,
     zip_safe=False,
-    entry_points={"console_scripts": [f"shadow_node = {NAME}.ros.process:main"]},
+    entry_points={
+        "console_scripts": [
+            f"shadow_lifecycle_node = {NAME}.ros.process:lifecycle_main",
+            f"shadow_node = {NAME}.ros.process:main",
+            f"shadow_tracer = {NAME}.apps.cli:main",
+        ]
+    },
     # These make it a ROS 2 package: the marker that the ament index looks for, and what ROS tools read.
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(glob("config/*.yaml") + glob("config/*.xml"))),
+        (f"share/{NAME}/config", sorted(glob("config/*.yaml") + glob("config/*.xml") + glob("config/*.rviz"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.*"))),
         # `ros2 run` looks in lib/<package>, pip puts console scripts in bin: each launcher finds the script from there.
         (f"lib/{NAME}", sorted(glob("scripts/shadow_*"))),

@@ -34,8 +34,10 @@ from shape_msgs.msg import Mesh
 
 from shadow_tracer import Bias, Camera, PointLight, Scene, ShadowTracer
 from shadow_tracer.ros.cdr import encode_mesh
-from shadow_tracer.ros.mesh_input import MeshInput
+from shadow_tracer.ros.frames import Frames, Tf2
+from shadow_tracer.ros.mesh_sources import MeshSources
 from shadow_tracer.ros.node import ShadowNode
+from shadow_tracer.ros.parameters import settings_from
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 525.0
 LAMP = (0.4, -0.3, 0.2)
@@ -53,7 +55,8 @@ def wavy_sheet(cells: int, phase: float) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([u, v, z], axis=-1).reshape(-1, 3), triangles
 
 
-def _info(stamp: int) -> CameraInfo:
+def info_msg(stamp: int) -> CameraInfo:
+    """camera_info at a stamp [ns]."""
     info = CameraInfo(width=WIDTH, height=HEIGHT)
     info.header.frame_id = "camera"
     info.header.stamp.sec, info.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
@@ -61,9 +64,10 @@ def _info(stamp: int) -> CameraInfo:
     return info
 
 
-def _image(depth: np.ndarray, stamp: int) -> Image:
+def image_msg(depth: np.ndarray, stamp: int) -> Image:
+    """A depth image of (H, W) uint16 millimetres at a stamp [ns]."""
     image = Image(width=WIDTH, height=HEIGHT, encoding="16UC1", step=2 * WIDTH)
-    image.header = _info(stamp).header
+    image.header = info_msg(stamp).header
     image.data.frombytes(memoryview(depth).cast("B"))
     return image
 
@@ -140,8 +144,8 @@ class Measurement:
         # Nothing tells from outside that the mesh is there; a mask of the old one would be noticed by the comparison.
         end = time.monotonic() + 0.1
         self.spin_until(lambda: time.monotonic() > end)
-        self.info_out.publish(_info(stamp))
-        self.depth_out.publish(_image(depth, stamp))
+        self.info_out.publish(info_msg(stamp))
+        self.depth_out.publish(image_msg(depth, stamp))
         self.spin_until(lambda: self.timing is not None and self.mask is not None)
         assert self.timing is not None and self.mask is not None
         stages = {}
@@ -154,15 +158,17 @@ class Measurement:
 
 def receive_mesh(cells: int, frames: int) -> dict[str, list[float]]:
     """Milliseconds of Python per received mesh: parsing, and giving it to the scene."""
-    scene, inputs = Scene(), MeshInput()
+    scene, inputs = Scene(), MeshSources(1_000_000)
+    settings = settings_from({})
+    places = Frames(lambda: Tf2(None)).at(settings, "camera", 0)  # everything is in the camera's frame
     times: dict[str, list[float]] = {"new triangles": [], "same triangles, new positions": []}
     for frame in range(frames):
         vertices, triangles = wavy_sheet(cells, 0.1 * frame)
         for what, order in (("new triangles", triangles[::-1] if frame % 2 else triangles), ("same", None)):
             data = encode_mesh(vertices + 0.001, order if order is not None else triangles[:: -1 if frame % 2 else 1])
             begin = time.perf_counter()
-            inputs.receive(data, 1_000_000, 0.0, 0)
-            inputs.update(scene, np.eye(4), 0.0)
+            inputs.receive("mesh", data, 0.0, 0)
+            inputs.store.update(scene, places, settings.mesh_frame)
             elapsed = (time.perf_counter() - begin) * 1e3
             times["new triangles" if what == "new triangles" else "same triangles, new positions"].append(elapsed)
     return times

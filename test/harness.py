@@ -6,14 +6,8 @@ Nothing here sleeps for a fixed time; what does not happen within the timeout fa
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,30 +15,24 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from node_process import SMALL
+from node_process import NodeProcess as NodeProcess  # for those who import it from here
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from shape_msgs.msg import Mesh
 
-import shadow_tracer
 from shadow_tracer.ros.cdr import encode_mesh
+from shadow_tracer.ros.core import Core
 from shadow_tracer.ros.node import ShadowNode
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 60.0
 TIMEOUT = 20.0
-
-# Small buffers: a node of a test is made in milliseconds.
-SMALL = {
-    "device": "cpu",
-    "bounds.max_triangles": 4096,
-    "bounds.max_rays": 128 * 96,
-    "bounds.queue_capacity": 16384,
-    "diagnostics_period": 0.1,
-}
 
 
 def reliable(depth: int = 10, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
@@ -132,6 +120,9 @@ class Rig:
         self.reports: list[DiagnosticArray] = []
         self.timings: list[DiagnosticArray] = []
         self.infos: list[CameraInfo] = []
+        self._publishers: dict[Any, Publisher] = {}
+        self._collected: dict[str, list[Any]] = {}
+        self._clients: dict[str, Any] = {}
         self.listen(Image, "shadow_tracer/mask", self.masks.setdefault("", []))
         self.listen(DiagnosticArray, "/diagnostics", self.reports)
         self.listen(DiagnosticArray, "shadow_tracer/timing", self.timings)
@@ -139,15 +130,34 @@ class Rig:
         if start:
             self.start(parameters, arguments)
 
-    def start(self, parameters: Mapping[str, Any] | None = None, arguments: Sequence[str] = ()) -> ShadowNode:
-        """Make the node and wait until it traces and everybody hears everybody."""
+    def start(
+        self,
+        parameters: Mapping[str, Any] | None = None,
+        arguments: Sequence[str] = (),
+        *,
+        kind: Callable[..., Any] = ShadowNode,
+        wait: bool = True,
+    ) -> Any:
+        """Make the node, and wait until it traces and everybody hears everybody.
+
+        Args:
+            kind: its class.
+            wait: False: return at once.
+        """
         overrides = [Parameter(name, value=value) for name, value in {**SMALL, **(parameters or {})}.items()]
         cli = ["--ros-args", *arguments] if arguments else None
-        self.node = node = ShadowNode(context=self.context, parameter_overrides=overrides, cli_args=cli)
+        self.node = node = kind(context=self.context, parameter_overrides=overrides, cli_args=cli)
         self.executor.add_node(node)
-        self.until(lambda: node.ready, 120.0, "the node is ready")
-        self.connected()
+        if wait:
+            self.until(lambda: node.ready, 120.0, "the node is ready")
+            self.connected()
         return node
+
+    @property
+    def core(self) -> Core:
+        """What is behind the node, for tests that look at what no topic tells."""
+        assert self.node is not None
+        return self.node.core
 
     def connected(self, timeout: float = TIMEOUT) -> None:
         """Wait until the node's inputs and outputs are matched."""
@@ -161,6 +171,52 @@ class Rig:
     def listen(self, kind: Any, topic: str, into: list[Any]) -> None:
         """Collect the messages of a topic in a list."""
         self.friend.create_subscription(kind, topic, into.append, reliable(50))
+
+    def publisher(self, kind: Any, topic: str, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> Publisher:
+        """A reliable publisher that somebody listens to, made at the first call."""
+        key = (topic, durability)
+        if key not in self._publishers:
+            self._publishers[key] = self.friend.create_publisher(kind, topic, reliable(50, durability))
+        made = self._publishers[key]
+        self.until(lambda: made.get_subscription_count() > 0, what=f"somebody listens to {topic}")
+        return made
+
+    def collect(self, kind: Any, topic: str) -> list[Any]:
+        """Collect the messages of a topic in a list, which is the same for the same topic."""
+        if topic not in self._collected:
+            self.listen(kind, topic, self._collected.setdefault(topic, []))
+            subscription = list(self.friend.subscriptions)[-1]
+            self.until(lambda: subscription.get_publisher_count() > 0, what=f"{topic} is published")
+        return self._collected[topic]
+
+    def send_part(self, topic: str, kind: Any, message: Any) -> None:
+        """Publish a mesh on one of its topics, as a message or as bytes, and wait until the node has taken it."""
+        source = self.core.inputs.meshes.sources[topic]
+        publisher, before = self.publisher(kind, topic), source.arrivals.count
+        publisher.publish(message)
+        self.until(lambda: source.arrivals.count > before, what=f"{topic} is received")
+
+    def ask(self, cloud: PointCloud2, timeout: float = TIMEOUT) -> PointCloud2:
+        """Publish a query and wait for its answer."""
+        answers = self.collect(PointCloud2, "shadow_tracer/query/visibility")
+        publisher, before = self.publisher(PointCloud2, "query"), len(answers)
+        publisher.publish(cloud)
+        self.until(lambda: len(answers) > before, timeout, "the query is answered")
+        return answers[-1]
+
+    def request(self, kind: Any, service: str, request: Any = None) -> Any:
+        """Call a service; the future of its response."""
+        if service not in self._clients:
+            self._clients[service] = self.friend.create_client(kind, service)
+        client = self._clients[service]
+        self.until(client.service_is_ready, what=f"{service} is there")
+        return client.call_async(kind.Request() if request is None else request)
+
+    def call(self, kind: Any, service: str, request: Any = None, timeout: float = TIMEOUT) -> Any:
+        """Call a service and wait for its response."""
+        future = self.request(kind, service, request)
+        self.until(future.done, timeout, f"{service} answers")
+        return future.result()
 
     def listen_to_light(self, name: str) -> list[Image]:
         """Collect the masks of one light."""
@@ -283,92 +339,3 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-class NodeProcess:
-    """The program ``shadow_node`` as a process of its own. Use as a context manager.
-
-    Args:
-        parameters: overrides, on top of :data:`SMALL`.
-        environment: further environment variables.
-    """
-
-    def __init__(
-        self,
-        parameters: Mapping[str, Any] | None = None,
-        *,
-        arguments: Sequence[str] = (),
-        environment: Mapping[str, str] | None = None,
-    ) -> None:
-        values = {**SMALL, **(parameters or {})}
-        flags = [part for name, value in values.items() for part in ("-p", f"{name}:={_yaml(value)}")]
-        root = str(Path(shadow_tracer.__file__).parents[1])
-        path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH", ""))))
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "shadow_tracer.ros", "--ros-args", *flags, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONPATH": path, **(environment or {})},
-        )
-        self.out: list[str] = []
-        self.err: list[str] = []
-        self._readers = [
-            threading.Thread(target=self._read, args=(stream, into), daemon=True)
-            for stream, into in ((self._process.stdout, self.out), (self._process.stderr, self.err))
-        ]
-        for reader in self._readers:
-            reader.start()
-
-    @staticmethod
-    def _read(stream: Any, into: list[str]) -> None:
-        for line in stream:
-            into.append(line)
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
-    @property
-    def running(self) -> bool:
-        """True until the process has ended."""
-        return self._process.poll() is None
-
-    def wait_for(self, text: str, timeout: float = 120.0) -> None:
-        """Wait until a line of stdout contains the text."""
-        deadline = time.monotonic() + timeout
-        while not any(text in line for line in list(self.out)):
-            if self._process.poll() is not None or time.monotonic() > deadline:
-                raise AssertionError(f"no line with {text!r}: {self.out} {self.err}")
-            self._readers[0].join(0.02)
-
-    def stop(self, number: signal.Signals, timeout: float = 30.0) -> tuple[int, str]:
-        """Send a signal; returns the exit code and everything on stderr."""
-        self.send(number)
-        return self.wait(timeout)
-
-    def send(self, number: signal.Signals) -> None:
-        """Send a signal."""
-        self._process.send_signal(number)
-
-    def wait(self, timeout: float = 60.0) -> tuple[int, str]:
-        """Wait for the end; returns the exit code and everything on stderr."""
-        code = self._process.wait(timeout)
-        for reader in self._readers:
-            reader.join(5.0)
-        return code, "".join(self.err)
-
-    def __enter__(self) -> NodeProcess:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
-
-
-def _yaml(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return str(value)

@@ -1,18 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Timing and health as diagnostic_msgs, and the small meters behind them. What they say is decided in :mod:`health`."""
+"""Timing and health as diagnostic_msgs, and the small meters behind them. What they say is decided in :mod:`health`.
+
+ROS is imported where a message is made, and nowhere else.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"  # as in diagnostic_msgs/DiagnosticStatus
 
 DEPTH, MESH, TRANSFORMS, DEVICE, PROCESSING = "input depth", "input mesh", "transforms", "device", "processing"
+
+
+_LONGEST = 600
+
+
+def cut(text: str) -> str:
+    """At most 600 characters of a text: it may quote a message, in which a name may have any length."""
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 80]} ... {text[-70:]}"
 
 
 class Missing(Exception):
@@ -26,9 +39,9 @@ class Missing(Exception):
     """
 
     def __init__(self, status: str, text: str, wait: bool = True, level: bytes = WARN) -> None:
-        super().__init__(text)
+        super().__init__(cut(text))
         self.status = status
-        self.text = text
+        self.text = cut(text)
         self.wait = wait
         self.level = level
 
@@ -45,7 +58,7 @@ class Complaint:
     def add(self, text: str, now: float) -> None:
         """Note a refusal at the steady time ``now`` [s]."""
         self.count += 1
-        self.text = text
+        self.text = cut(text)
         self._when = now
 
     def recent(self, now: float) -> bool:
@@ -87,6 +100,10 @@ class Window:
         """Append a value."""
         self._values.append(value)
 
+    def mean(self) -> float:
+        """Mean of the values, 0 if there is none."""
+        return sum(self._values) / len(self._values) if self._values else 0.0
+
     def summary(self) -> str:
         """``mean / 95 % / max``, or "-" if there is nothing yet."""
         if not self._values:
@@ -97,8 +114,26 @@ class Window:
 
 def status(name: str, level: bytes, text: str, values: Mapping[str, Any], hardware_id: str) -> DiagnosticStatus:
     """A DiagnosticStatus; values are written with ``str``."""
+    from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     return DiagnosticStatus(level=level, name=name, message=text, hardware_id=hardware_id, values=pairs)
+
+
+def outcome(missing: Missing | None) -> tuple[bytes, str]:
+    """Level and message of ``~/timing``: whether the frame was traced, or why not."""
+    return (OK, "traced") if missing is None else (missing.level, f"unknown: {missing.text}")
+
+
+def timing_values(stages: Mapping[str, float], numbers: Mapping[str, Any]) -> dict[str, str]:
+    """The key-value pairs of ``~/timing``.
+
+    Args:
+        stages: stage -> milliseconds; written as ``<stage> [ms]``.
+        numbers: counters, sizes; written under their own names.
+    """
+    values = {f"{name} [ms]": f"{value:.3f}" for name, value in stages.items()}
+    return values | {key: str(n) for key, n in numbers.items()}
 
 
 def timing(
@@ -116,13 +151,11 @@ def timing(
         hardware_id: device that traced.
         stamp: stamp of the depth image, so that the message can be joined with its mask.
         missing: why the mask says unknown; None if the frame was traced.
-        stages: stage -> milliseconds; written as ``<stage> [ms]``.
-        numbers: counters, sizes; written under their own names.
+        stages, numbers: see :func:`timing_values`.
     """
-    values = {f"{name} [ms]": f"{value:.3f}" for name, value in stages.items()} | {
-        key: str(n) for key, n in numbers.items()
-    }
-    level, text = (OK, "traced") if missing is None else (missing.level, f"unknown: {missing.text}")
-    array = DiagnosticArray(status=[status(f"{node}: timing", level, text, values, hardware_id)])
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    values = timing_values(stages, numbers)
+    array = DiagnosticArray(status=[status(f"{node}: timing", *outcome(missing), values, hardware_id)])
     array.header.stamp = stamp
     return array

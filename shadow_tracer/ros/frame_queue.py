@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images that wait for what belongs to them, newest first, a bounded number of them; and camera_info by stamp."""
+"""Depth images that wait for what belongs to them, a bounded number of them; and camera_info by stamp. No ROS here."""
 
 from __future__ import annotations
 
 from collections import OrderedDict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
-from sensor_msgs.msg import CameraInfo, Image
 
 from shadow_tracer.ros.diagnostics import DEPTH, Missing
 from shadow_tracer.ros.messages import stamp_ns
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import CameraInfo, Image
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,29 +37,41 @@ class WaitingFrame:
 
 
 class FrameQueue:
-    """Always the newest frame: taking one drops those before it, and they are counted.
+    """Always the newest frame: taking one drops those before it, and they are counted. With ``every`` the oldest is
+    next, and none is dropped as long as there is room.
 
     More than one has to wait because a frame whose transform comes late would otherwise be displaced for ever by frames
     whose transforms come later still.
+
+    Attributes:
+        every: whether all frames are answered in order, or always the newest.
+        dropped: frames that were not answered.
     """
 
-    def __init__(self, capacity: int = 8, infos: int = 32) -> None:
+    CAPACITY = 8
+    CAPACITY_EVERY = 256
+
+    def __init__(self) -> None:
+        self.every = False
         self.dropped = 0
         self._frames: deque[WaitingFrame] = deque()
-        self._capacity = capacity
         self._infos: OrderedDict[int, CameraInfo] = OrderedDict()
-        self._info_capacity = infos
 
     def __len__(self) -> int:
         return len(self._frames)
 
-    def newest_first(self) -> Iterator[WaitingFrame]:
-        """The waiting frames, the last arrived first."""
-        return iter(tuple(reversed(self._frames)))
+    @property
+    def capacity(self) -> int:
+        """The most frames that wait."""
+        return self.CAPACITY_EVERY if self.every else self.CAPACITY
+
+    def candidates(self) -> Iterator[WaitingFrame]:
+        """The frames that may be next, the best first: the last arrived first, or with ``every`` the first alone."""
+        return iter(tuple(self._frames)[:1] if self.every else tuple(reversed(self._frames)))
 
     def put(self, frame: WaitingFrame) -> None:
-        """Append a frame; the oldest is dropped if there is no room."""
-        if len(self._frames) == self._capacity:
+        """Append a frame; the oldest are dropped if there is no room."""
+        while len(self._frames) >= self.capacity:
             self._frames.popleft()
             self.dropped += 1
         self._frames.append(frame)
@@ -70,8 +84,8 @@ class FrameQueue:
             self.dropped += 1
 
     def keep_newest(self) -> None:
-        """Drop all frames but the last arrived."""
-        while len(self._frames) > 1:
+        """Drop all frames but the last arrived; with ``every`` none."""
+        while len(self._frames) > 1 and not self.every:
             self._frames.popleft()
             self.dropped += 1
 
@@ -86,7 +100,7 @@ class FrameQueue:
         stamp = stamp_ns(info.header.stamp)
         self._infos.pop(stamp, None)
         self._infos[stamp] = info
-        if len(self._infos) > self._info_capacity:
+        while len(self._infos) > 4 * self.capacity:
             self._infos.popitem(last=False)
 
     def info_for(self, frame: WaitingFrame, policy: str) -> CameraInfo:

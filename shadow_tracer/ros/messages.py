@@ -1,25 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS messages <-> numpy: depth images, camera_info, poses, masks. The mesh, which arrives raw, is in :mod:`cdr`.
 
-This module and :mod:`cdr` are the only places that know how messages are laid out. Whatever is wrong with a message is
-a :class:`MessageError` that names the field.
+Whatever is wrong with a message is a :class:`MessageError` that names the field. No ROS is imported here: a message is
+anything with its fields, be it of rclpy or of a library that reads bags.
 """
 
 from __future__ import annotations
 
+import sys
+from array import array
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from geometry_msgs.msg import Pose
-from sensor_msgs.msg import CameraInfo, Image
 
 from shadow_tracer import Camera
 from shadow_tracer.ros.settings import FloatArray
 
+if TYPE_CHECKING:
+    from geometry_msgs.msg import Pose, PoseStamped
+    from sensor_msgs.msg import CameraInfo, Image
+
 DEPTH_ENCODINGS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 _LARGEST_SIDE = 2**16
+_FOCAL_RANGE = (1e-3, 1e7)  # [px]
 
 
 class MessageError(ValueError):
@@ -85,8 +90,12 @@ def intrinsics(info: CameraInfo, width: int, height: int) -> Intrinsics:
     values = [p[0], p[5], p[2], p[6]] if p[0] != 0.0 else [k[0], k[4], k[2], k[5]]
     field = "camera_info.p" if p[0] != 0.0 else "camera_info.k"
     fx, fy, cx, cy = values
-    if not np.isfinite(values).all() or fx <= 0.0 or fy <= 0.0:
-        raise MessageError(f"{field}: expected finite fx, fy > 0 and finite cx, cy, got {values}")
+    # Comparisons with NaN are false. Beyond these limits squares of the numbers leave float64.
+    low, high = _FOCAL_RANGE
+    if not (low <= fx <= high and low <= fy <= high and abs(cx) <= high and abs(cy) <= high):
+        raise MessageError(
+            f"{field}: expected fx, fy from {low:g} to {high:g} and cx, cy within +-{high:g} pixels, got {values}"
+        )
     if (info.width, info.height) != (width, height):
         raise MessageError(
             f"camera_info.width, height: the image has {width} x {height} pixels, camera_info says "
@@ -111,7 +120,8 @@ def rigid(position: npt.ArrayLike, quaternion: npt.ArrayLike, field: str) -> Flo
     values = np.concatenate([np.asarray(position, np.float64), np.asarray(quaternion, np.float64)])
     if not np.isfinite(values).all():
         raise MessageError(f"{field}: expected finite numbers, got {values.tolist()}")
-    length = float(np.linalg.norm(values[3:]))
+    with np.errstate(over="ignore"):  # an infinite length is refused like any other
+        length = float(np.linalg.norm(values[3:]))
     if not 0.99 <= length <= 1.01:
         raise MessageError(f"{field}: expected a unit quaternion, got one of length {length:.6g}")
     x, y, z, w = values[3:] / length
@@ -131,10 +141,42 @@ def pose_matrix(pose: Pose, field: str) -> FloatArray:
     return rigid((p.x, p.y, p.z), (q.x, q.y, q.z, q.w), field)
 
 
+def camera_pose(msg: PoseStamped, fixed_frame: str) -> tuple[int, FloatArray]:
+    """Stamp [ns] and (4, 4) pose of a message of the topic ``camera_pose``.
+
+    Raises:
+        MessageError: it is in another frame than ``fixed_frame``, where both are named; or as :func:`rigid`.
+    """
+    frame = msg.header.frame_id
+    if fixed_frame and frame and frame != fixed_frame:
+        raise MessageError(f"header.frame_id: expected fixed_frame {fixed_frame!r}, got {frame!r}")
+    return stamp_ns(msg.header.stamp), pose_matrix(msg.pose, "pose")
+
+
+def image_message(pixels: npt.NDArray[Any], encoding: str, depth: Image) -> Image:
+    """An image with the header of the depth image it belongs to.
+
+    Args:
+        pixels: (H, W) or (H, W, channels), uint8 or uint16.
+        encoding: what ROS calls that: mono8, rgb8, 16UC1.
+        depth: the depth image; of its class the message is.
+    """
+    pixels = np.ascontiguousarray(pixels)
+    height, width = pixels.shape[:2]
+    data = array("B")
+    # frombytes copies once; assigning a numpy array to .data goes element by element (25 ms at 640 x 480).
+    data.frombytes(memoryview(pixels).cast("B"))
+    return type(depth)(
+        header=depth.header,
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=int(sys.byteorder == "big"),
+        step=len(data) // height,
+        data=data,
+    )
+
+
 def mask_image(mask: npt.NDArray[np.uint8], depth: Image) -> Image:
     """A mono8 image of a mask, (H, W) uint8, with the header of the depth image it belongs to."""
-    height, width = mask.shape
-    msg = Image(header=depth.header, height=height, width=width, encoding="mono8", is_bigendian=0, step=width)
-    # frombytes copies once; assigning an array to .data goes element by element (25 ms at 640 x 480).
-    msg.data.frombytes(memoryview(np.ascontiguousarray(mask)).cast("B"))
-    return msg
+    return image_message(mask, "mono8", depth)

@@ -10,16 +10,17 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from shadow_tracer.ros import parameter_rows as rows
 from shadow_tracer.ros import parameters as table
 from shadow_tracer.ros.settings import Settings
 
 _TYPES = {
-    table.BOOL: Parameter.Type.BOOL,
-    table.INTEGER: Parameter.Type.INTEGER,
-    table.DOUBLE: Parameter.Type.DOUBLE,
-    table.STRING: Parameter.Type.STRING,
-    table.STRINGS: Parameter.Type.STRING_ARRAY,
-    table.DOUBLES: Parameter.Type.DOUBLE_ARRAY,
+    rows.BOOL: Parameter.Type.BOOL,
+    rows.INTEGER: Parameter.Type.INTEGER,
+    rows.DOUBLE: Parameter.Type.DOUBLE,
+    rows.STRING: Parameter.Type.STRING,
+    rows.STRINGS: Parameter.Type.STRING_ARRAY,
+    rows.DOUBLES: Parameter.Type.DOUBLE_ARRAY,
 }
 
 
@@ -31,7 +32,7 @@ def _descriptor(row: table.Parameter) -> ParameterDescriptor:
         read_only=bool(row.read_only),
     )
     if row.low is not None and row.high is not None:
-        if row.type == table.INTEGER:
+        if row.type == rows.INTEGER:
             descriptor.integer_range = [IntegerRange(from_value=int(row.low), to_value=int(row.high), step=0)]
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=row.low, to_value=row.high, step=0.0)]

@@ -10,73 +10,44 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from shadow_tracer import available_pipelines
-from shadow_tracer.ros.settings import LIGHT_TYPES, LightSettings, Settings
+from shadow_tracer.ros.parameter_rows import (
+    BOOL,
+    DOUBLE,
+    DOUBLES,
+    INTEGER,
+    STRING,
+    STRINGS,
+    Parameter,
+    ParameterError,
+    convert,
+)
+from shadow_tracer.ros.settings import LIGHT_TYPES, LightSettings, Settings, SunSettings
+from shadow_tracer.ros.sun import parse_time
 
-BOOL, INTEGER, DOUBLE, STRING = "bool", "integer", "double", "string"
-STRINGS, DOUBLES = "string array", "double array"
+__all__ = [
+    "LIGHT_PARAMETERS",
+    "PARAMETERS",
+    "Parameter",
+    "ParameterError",
+    "convert",
+    "default_of",
+    "light_names",
+    "markdown_table",
+    "names_for",
+    "problems_in",
+    "row_of",
+    "settings_from",
+    "unknown_names",
+]
 
 _BUFFER = "device buffers of this size are allocated once, at start; restart the node to change it"
 _DEVICE = "buffers and kernels live on one device from the start; restart the node to change it"
 _FRAME = re.compile(r"(?!/)\S+|")
 _DEVICE_NAME = re.compile(r"auto|cpu|cuda:\d+")
 _LIGHT_NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")
-
-
-class ParameterError(ValueError):
-    """A parameter has a value it cannot have. The message starts with its name, then what is allowed and what came."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One row of the table.
-
-    Attributes:
-        name: full name, or the key within ``lights.<name>``.
-        type: one of the type words above.
-        default: value if nothing is set.
-        description: meaning, one or two sentences.
-        unit: unit of the value, "" if it has none.
-        low, high: inclusive range of a number.
-        allowed: the words a string may be; empty if it is free.
-        length: number of values of a double array.
-        pattern, pattern_text: what a string must look like, and that in words.
-        read_only: why it cannot change at run time; "" if it can.
-    """
-
-    name: str
-    type: str
-    default: Any
-    description: str
-    unit: str = ""
-    low: float | None = None
-    high: float | None = None
-    allowed: tuple[str, ...] = ()
-    length: int = 0
-    pattern: re.Pattern[str] | None = None
-    pattern_text: str = ""
-    read_only: str = ""
-
-    @property
-    def constraint(self) -> str:
-        """The allowed values in words, unit included; "" if every value of the type is allowed."""
-        unit = f" {self.unit}" if self.unit else ""
-        if self.allowed:
-            return ", ".join(word or '""' for word in self.allowed)
-        if self.low is not None:
-            return f"{_number(self.low)} to {_number(self.high)}{unit}"
-        if self.length:
-            return f"{self.length} numbers{unit}"
-        return self.pattern_text
-
-
-def _number(value: Any) -> str:
-    return "pi" if value == math.pi else f"{value:.12g}"
 
 
 def _pipelines() -> tuple[str, ...]:
@@ -114,6 +85,19 @@ PARAMETERS: tuple[Parameter, ...] = (
               pattern=_FRAME, pattern_text=_FRAME_TEXT),
     Parameter("mesh.max_age", DOUBLE, 0.0,
               "A mesh received longer ago than this is stale and the mask says unknown; 0 never.", "s", 0.0, 1e6),
+    Parameter("mesh.files", STRINGS, ("",),
+              "Mesh files in mesh.frame, of any format trimesh reads: paths, file:// or package://<package>/...; [''] "
+              "is none."),
+    Parameter("mesh.files_scale", DOUBLE, 0.0,
+              "Length of a file's unit; 0 takes the unit that is written in the file, or metres.", "m", 0.0, 1e6),
+    Parameter("occluders", STRING, "mesh",
+              "What casts shadow: received meshes and mesh files, the surface that the depth image itself shows, or "
+              "both.", allowed=("mesh", "depth", "mesh+depth")),
+    Parameter("depth_occluder.step", INTEGER, 2,
+              "Every how manieth pixel of the depth image is a corner of the surface that it shows.", "px", 1, 16),
+    Parameter("depth_occluder.max_jump", DOUBLE, 0.05,
+              "Where depths of neighbouring corners differ by more than this share of the smaller one, the surface is "
+              "cut.", low=0.001, high=1.0),
     Parameter("camera_info_policy", STRING, "exact",
               "exact pairs depth and camera_info of the same stamp, latest takes the newest camera_info.",
               allowed=("exact", "latest")),
@@ -132,6 +116,15 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("mask.unknown_value", INTEGER, 0,
               "Mask value where nothing is known: invalid depth, or a missing camera_info, transform or light. 255 "
               "means lit and is refused.", low=0, high=254),
+    Parameter("mask.publish", STRING, "listened",
+              "listened makes and sends a mask only while somebody listens, always sends all of them.",
+              allowed=("listened", "always")),
+    Parameter("process", STRING, "latest",
+              "latest answers the newest image and drops those before it; every answers each one in order, for "
+              "replays.", allowed=("latest", "every")),
+    Parameter("verify_every", INTEGER, 0,
+              "Every how manieth frame is traced by a second pipeline too; the number of differing pixels is "
+              "published. 0 is none.", low=0, high=1_000_000),
     Parameter("bounds.max_triangles", INTEGER, 1_000_000,
               "Largest number of triangles; a larger mesh is refused whole.",
               low=1, high=2**31 // 9, read_only=_BUFFER),
@@ -152,14 +145,15 @@ PARAMETERS: tuple[Parameter, ...] = (
 
 LIGHT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("type", STRING, "point",
-              "Kind of light.", allowed=LIGHT_TYPES),
+              "Kind of light. The sun stands where date, time and place put it, if the axes of its frame are east, "
+              "north, up; a sphere casts soft shadows.", allowed=LIGHT_TYPES),
     Parameter("enabled", BOOL, True,
               "Whether it shines; the mask of a light that does not is not published."),
     Parameter("frame", STRING, "",
               "Frame of position and direction; empty is fixed_frame. The optical frame of the depth image needs no "
               "tf.", pattern=_FRAME, pattern_text=_FRAME_TEXT),
     Parameter("position", DOUBLES, (0.5, -0.5, 0.0),
-              "Position of a point or spot light. The default is to the right of and above the camera, if "
+              "Position of a point, spot or sphere light. The default is to the right of and above the camera, if "
               "fixed_frame is left empty.", "m", length=3),
     Parameter("direction", DOUBLES, (0.0, 0.0, 1.0),
               "The way light travels, of a spot or directional light; any length but zero. The default is the way "
@@ -167,7 +161,15 @@ LIGHT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("outer_angle", DOUBLE, 0.5,
               "Half angle of a spot light's cone; what lies outside is not reached.", "rad", 0.001, math.pi),
     Parameter("range", DOUBLE, 0.0,
-              "How far a point or spot light reaches; 0 is without limit.", "m", 0.0, 1e9),
+              "How far a point, spot or sphere light reaches; 0 is without limit.", "m", 0.0, 1e9),
+    Parameter("radius", DOUBLE, 0.1,
+              "Radius of a sphere light.", "m", 1e-6, 1e6),
+    Parameter("sun.latitude", DOUBLE, 0.0,
+              "Where the sun is seen from, north positive.", "deg", -90.0, 90.0),
+    Parameter("sun.longitude", DOUBLE, 0.0,
+              "Where the sun is seen from, east positive.", "deg", -180.0, 180.0),
+    Parameter("sun.time", STRING, "",
+              "When, as ISO 8601 (2026-06-21T12:00:00Z, without a zone UTC); empty is the stamp of the image."),
 )  # fmt: skip
 
 _BY_NAME = {row.name: row for row in PARAMETERS}
@@ -177,7 +179,7 @@ _BY_KEY = {row.name: row for row in LIGHT_PARAMETERS}
 def row_of(name: str) -> Parameter | None:
     """The row of a full parameter name such as ``bias.constant`` or ``lights.lamp.range``; None if there is none."""
     if name.startswith("lights."):
-        return _BY_KEY.get(name.rpartition(".")[2]) if name.count(".") == 2 else None
+        return _BY_KEY.get(name.split(".", 2)[2]) if name.count(".") >= 2 else None
     return _BY_NAME.get(name)
 
 
@@ -196,51 +198,6 @@ def light_names(values: Mapping[str, Any]) -> tuple[str, ...]:
     if len(set(names)) != len(names):
         raise ParameterError(f"lights: expected different names, got {list(names)}")
     return names
-
-
-def convert(name: str, row: Parameter, value: Any) -> Any:
-    """The value in the type of its row: integers become doubles where doubles are wanted, arrays become tuples.
-
-    Raises:
-        ParameterError: wrong type, out of range, not finite, not an allowed word.
-    """
-    if row.type == BOOL:
-        good = isinstance(value, bool)
-    elif row.type == STRING:
-        good = isinstance(value, str)
-        if good and row.allowed:
-            good = value in row.allowed
-        elif good and row.pattern:
-            good = row.pattern.fullmatch(value) is not None
-    elif row.type == STRINGS:
-        value = _sequence(value)
-        good = value is not None and all(isinstance(item, str) for item in value)
-    elif row.type == DOUBLES:
-        value = _sequence(value)
-        good = value is not None and len(value) == row.length and all(_is_number(item) for item in value)
-        value = tuple(float(item) for item in value) if good else value
-    else:
-        good = _is_number(value) if row.type == DOUBLE else _is_integer(value)
-        good = good and (row.low is None or row.high is None or row.low <= value <= row.high)
-        value = float(value) if good and row.type == DOUBLE else value
-    if not good:
-        wanted = f"{row.type} ({row.constraint})" if row.constraint else row.type
-        raise ParameterError(f"{name}: expected {wanted}, got {value!r}")
-    return value
-
-
-def _sequence(value: Any) -> tuple[Any, ...] | None:
-    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-        return None
-    return tuple(value)
-
-
-def _is_integer(value: Any) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-
-
-def _is_number(value: Any) -> bool:
-    return _is_integer(value) or (isinstance(value, (float, np.floating)) and math.isfinite(value))
 
 
 def names_for(lights: Iterable[str]) -> list[str]:
@@ -283,6 +240,7 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     if not 0.99 <= length <= 1.01:
         raise ParameterError(f"camera_pose: expected a unit quaternion qx qy qz qw, got one of length {length:.6g}")
     lights = tuple(_light(name, values) for name in names)
+    checked["mesh.files"] = tuple(file for file in checked["mesh.files"] if file)
     fields = {_FIELDS.get(name, name.replace(".", "_")): value for name, value in checked.items()}
     return Settings(**{**fields, "lights": lights})
 
@@ -297,7 +255,13 @@ def _light(name: str, values: Mapping[str, Any]) -> LightSettings:
     for row in LIGHT_PARAMETERS:
         full = f"lights.{name}.{row.name}"
         keys[row.name] = convert(full, row, values.get(full, row.default))
-    light = LightSettings(name=name, **keys)
+    text = keys.pop("sun.time")
+    try:
+        time = parse_time(text) if text else None
+    except ValueError as error:
+        raise ParameterError(f"lights.{name}.sun.time: {error}") from error
+    sun = SunSettings(keys.pop("sun.latitude"), keys.pop("sun.longitude"), time)
+    light = LightSettings(name=name, sun=sun, **keys)
     if not 1e-6 <= math.sqrt(sum(value * value for value in light.direction)) <= 1e6:
         raise ParameterError(
             f"lights.{name}.direction: expected a length from 1e-6 to 1e6, got {list(light.direction)}"
@@ -336,8 +300,8 @@ def unknown_names(names: Iterable[str], known: Sequence[str], lights: Sequence[s
     for name in names:
         if name in known:
             continue
-        parts = name.split(".")
-        if parts[0] == "lights" and len(parts) == 3 and parts[1] not in lights and parts[2] in _BY_KEY:
+        parts = name.split(".", 2)
+        if row_of(name) is not None and parts[0] == "lights" and parts[1] not in lights:
             warnings.append(
                 f"{name} has no effect: {parts[1]!r} is not in lights {list(lights)}; add it there, or correct the name"
             )

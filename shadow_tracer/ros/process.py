@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program ``shadow_node`` around the node: signals, log streams, exit codes.
+"""The programs ``shadow_node`` and ``shadow_lifecycle_node`` around the nodes: signals, log streams, exit codes.
 
 Nothing is imported here that takes time, so that signals are under control before rclpy and the messages are imported.
 """
@@ -47,6 +47,15 @@ def main(args: Sequence[str] | None = None) -> int:
     Args:
         args: command line, ROS arguments included; ``sys.argv`` if None.
     """
+    return _run(args, managed=False)
+
+
+def lifecycle_main(args: Sequence[str] | None = None) -> int:
+    """Run the managed node; as :func:`main`."""
+    return _run(args, managed=True)
+
+
+def _run(args: Sequence[str] | None, managed: bool) -> int:
     request = StopRequest()
     # Log lines go to stdout unless the environment says otherwise, so that anything on stderr means trouble.
     os.environ.setdefault("RCUTILS_LOGGING_USE_STDOUT", "1")
@@ -55,13 +64,18 @@ def main(args: Sequence[str] | None = None) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    from shadow_tracer.ros.node import ShadowNode, spin
+    from shadow_tracer.ros.node import ShadowNode, ShadowNodeMixin, spin
 
-    node = None
+    node: ShadowNodeMixin | None = None
     code, joined = 0, True
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
-        node = ShadowNode()
+        if managed:
+            from shadow_tracer.ros.lifecycle_node import ShadowLifecycleNode
+
+            node = ShadowLifecycleNode(lambda: request.came)
+        else:
+            node = ShadowNode()
         code = spin(node, lambda: request.came)
     except Exception as error:
         code = 1

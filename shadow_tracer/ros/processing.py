@@ -1,52 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One step of work: the newest frame that has everything it needs, traced; or the reason why its mask says unknown."""
+"""One step of work: the next frame that has everything it needs, traced; or the reason why nothing is known of it.
+
+No ROS here: the offline tool works with the same code.
+"""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-from sensor_msgs.msg import CameraInfo
-
-from shadow_tracer import BoundsError, Camera, ShadowTracer
-from shadow_tracer.ros.diagnostics import DEPTH, ERROR, PROCESSING, Missing
+from shadow_tracer import BoundsError, Camera, Frame, Scene, ShadowTracer
+from shadow_tracer.ros.answer import Answer
+from shadow_tracer.ros.diagnostics import DEPTH, ERROR, MESH, PROCESSING, Missing
 from shadow_tracer.ros.frame_queue import FrameQueue, WaitingFrame
-from shadow_tracer.ros.frames import Frames
-from shadow_tracer.ros.mesh_input import MeshInput
-from shadow_tracer.ros.messages import MessageError, intrinsics
-from shadow_tracer.ros.settings import FloatArray, Light, Settings
+from shadow_tracer.ros.frames import Frames, Poses
+from shadow_tracer.ros.lighting import Lighting, Lit
+from shadow_tracer.ros.mesh_store import MeshStore
+from shadow_tracer.ros.messages import Intrinsics, MessageError, intrinsics
+from shadow_tracer.ros.settings import Settings
+from shadow_tracer.scene.depth_mesh import depth_mesh
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import CameraInfo
 
 _SHORTEST_WAIT = 0.1  # camera_info is a sibling of the image and may come after it, however short tf_timeout is
-
-Mask = npt.NDArray[np.uint8]
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What is published for one depth image.
-
-    Attributes:
-        frame: the depth image.
-        info: its camera_info, None if there is none.
-        missing: why nothing is known; None if the frame was traced.
-        mask: (H, W) uint8, all lights together.
-        light_masks: the same per enabled light.
-        stages: stage -> milliseconds, in order.
-        numbers: counters of the tracer.
-        warning: what is doubtful about the input though it was used, "" if nothing.
-    """
-
-    frame: WaitingFrame
-    info: CameraInfo | None
-    missing: Missing | None
-    mask: Mask
-    light_masks: dict[str, Mask]
-    stages: dict[str, float] = field(default_factory=dict)
-    numbers: dict[str, Any] = field(default_factory=dict)
-    warning: str = ""
+DEPTH_PART = "depth"  # name in the scene of the surface that the depth image shows; no received part is called so
 
 
 class StopWatch:
@@ -66,52 +45,69 @@ class StopWatch:
 @dataclass(frozen=True)
 class _Job:
     info: CameraInfo
+    optics: Intrinsics
     camera: Camera
-    lights: list[Light]
-    mesh_to_world: FloatArray
-    warning: str
+    lit: Lit
+    poses: Poses
 
 
 class Processor:
-    """Chooses frames and answers them."""
+    """Chooses frames and answers them.
 
-    def __init__(self, queue: FrameQueue, frames: Frames, mesh: MeshInput) -> None:
+    Attributes:
+        verified: frames that were traced by a second pipeline too.
+        differing: pixels and lights of them on which the two did not agree.
+    """
+
+    def __init__(self, queue: FrameQueue, frames: Frames, meshes: MeshStore, lighting: Lighting) -> None:
+        self.verified = self.differing = 0
         self._queue = queue
         self._frames = frames
-        self._mesh = mesh
+        self._meshes = meshes
+        self._lighting = lighting
+        self._traced = 0
 
-    def step(self, settings: Settings, tracer: ShadowTracer, now: float, now_ns: int) -> Answer | None:
-        """Answer the newest frame that is complete or has waited long enough; older ones are dropped.
+    def step(
+        self, settings: Settings, tracer: ShadowTracer, now: float, now_ns: int, patient: bool = True
+    ) -> Answer | None:
+        """Answer the next frame that is complete or has waited long enough.
 
         Args:
             now: steady time [s], on which frames wait.
-            now_ns: time of the node's clock [ns], on which the mesh ages.
+            now_ns: time of the node's clock [ns], on which meshes age.
+            patient: False: nothing that is missing now will come, no frame waits.
 
         Returns:
             None if every frame still waits, or there is none.
         """
-        for frame in self._queue.newest_first():
+        for frame in self._queue.candidates():
             watch = StopWatch()
             watch.stages.update({"decode": frame.decoding, "wait": (now - frame.arrived) * 1e3})
-            last_chance = now - frame.arrived >= max(settings.tf_timeout, _SHORTEST_WAIT)
+            last_chance = not patient or now - frame.arrived >= max(settings.tf_timeout, _SHORTEST_WAIT)
             try:
                 job = self._prepare(settings, frame, now_ns, last_chance)
                 watch.lap("transforms")
+                self._follow(settings, tracer.scene, job.poses)
+                watch.lap("mesh")
                 self._queue.take(frame)
-                return self._trace(settings, tracer, frame, job, watch, now)
+                return self._trace(settings, tracer, frame, job, watch)
             except Missing as missing:
                 if missing.wait and not last_chance:
                     continue
                 self._queue.take(frame)
                 return self._unknown(settings, frame, missing, watch)
+            except BoundsError as error:
+                text = f"{error}; start the node with a larger value of that parameter"
+                fault = Missing(PROCESSING, text, wait=False, level=ERROR)
+            except Exception as error:  # a driver may raise anything: the frame is unknown, the node lives
+                text = f"the frame could not be traced: {error}; if it stays so, set another pipeline, or restart it"
+                fault = Missing(PROCESSING, text, wait=False, level=ERROR)
+            self._queue.take(frame)
+            return self._unknown(settings, frame, fault, watch)
         return None
 
     def _prepare(self, settings: Settings, frame: WaitingFrame, now_ns: int, last_chance: bool) -> _Job:
-        if not settings.enabled_lights:
-            raise Missing(
-                PROCESSING, "no light is enabled; name one in the parameter lights and set lights.<name>.enabled", False
-            )
-        self._mesh.check_age(settings.mesh_max_age, now_ns)
+        check_age(self._meshes, settings, now_ns)
         info = self._queue.info_for(frame, settings.camera_info_policy)
         height, width = frame.depth.shape
         try:
@@ -119,40 +115,101 @@ class Processor:
         except MessageError as error:
             raise Missing(DEPTH, str(error), wait=False, level=ERROR) from error
         poses = self._frames.at(settings, frame.image.header.frame_id, frame.stamp, last_chance)
-        lights = [
-            light.light(poses.frame_to_world(light.frame, f"lights.{light.name}.frame"))
-            for light in settings.enabled_lights
-        ]
-        mesh = poses.frame_to_world(settings.mesh_frame, "mesh.frame") if self._mesh.present else np.eye(4)
-        return _Job(info, optics.camera(poses.camera_to_world), lights, mesh, optics.warning)
+        lit = self._lighting.at(settings, poses, frame.stamp)
+        return _Job(info, optics, optics.camera(poses.camera_to_world), lit, poses)
+
+    def _follow(self, settings: Settings, scene: Scene, poses: Poses) -> None:
+        forget_surface(scene, settings)
+        try:
+            self._meshes.update(scene, poses, settings.mesh_frame, settings.uses_meshes)
+        except BoundsError:
+            if DEPTH_PART not in scene:
+                raise
+            scene.remove(DEPTH_PART)  # that of the image before, which is replaced anyway, may be in the way
+            self._meshes.update(scene, poses, settings.mesh_frame, settings.uses_meshes)
 
     def _trace(
-        self, settings: Settings, tracer: ShadowTracer, frame: WaitingFrame, job: _Job, watch: StopWatch, now: float
+        self, settings: Settings, tracer: ShadowTracer, frame: WaitingFrame, job: _Job, watch: StopWatch
     ) -> Answer:
-        try:
-            self._mesh.update(tracer.scene, job.mesh_to_world, now)
-            watch.lap("mesh")
+        scene = tracer.scene
+        if settings.uses_depth:
+            vertices, triangles = depth_mesh(
+                frame.depth, job.camera, settings.depth_occluder_step, settings.depth_occluder_max_jump
+            )
+            scene.put(DEPTH_PART, vertices, triangles, job.camera.camera_to_world)
+            watch.lap("depth_occluder")
+        traced: Frame | None = None
+        numbers: dict[str, Any] = {}
+        if job.lit.lights:
             tracer.front_face_culling = settings.front_face_culling
-            traced = tracer.trace(frame.depth, job.camera, job.lights, bias=settings.bias)
+            traced = tracer.trace(frame.depth, job.camera, job.lit.lights, bias=settings.bias)
             watch.lap("trace")
-            mask = traced.mask(unknown=settings.unknown_value)
-            light_masks = {light.name: traced.mask(light.name, unknown=settings.unknown_value) for light in job.lights}
-            watch.lap("masks")
-        except BoundsError as error:
-            text = f"{error}; start the node with a larger value of that parameter"
-            raise Missing(PROCESSING, text, wait=False, level=ERROR) from error
-        except Exception as error:  # a driver may raise anything: the frame is unknown, the node lives
-            text = f"the frame could not be traced: {error}; if it stays so, set another pipeline, or restart the node"
-            raise Missing(PROCESSING, text, wait=False, level=ERROR) from error
-        stages = watch.stages | {f"trace.{name}": value for name, value in traced.stages.items()}
-        return Answer(frame, job.info, None, mask, light_masks, stages, dict(traced.counters), job.warning)
+            watch.stages |= {f"trace.{name}": value for name, value in traced.stages.items()}
+            numbers |= traced.counters | self._verify(settings, tracer, frame, job, watch)
+        return Answer(
+            frame,
+            job.info,
+            None,
+            tuple(light.name for light in settings.lights),
+            tuple(light.name for light in settings.enabled_lights),
+            settings.unknown_value,
+            traced,
+            job.optics,
+            watch.stages,
+            numbers,
+            job.optics.warning,
+        )
+
+    def _verify(
+        self, settings: Settings, tracer: ShadowTracer, frame: WaitingFrame, job: _Job, watch: StopWatch
+    ) -> dict[str, int]:
+        self._traced += 1
+        if not settings.verify_every or self._traced % settings.verify_every:
+            return {}
+        differing = tracer.verify(frame.depth, job.camera, job.lit.lights, bias=settings.bias)
+        watch.lap("verify")
+        self.verified += 1
+        self.differing += differing
+        return {"verify.differing": differing}
 
     def _unknown(self, settings: Settings, frame: WaitingFrame, missing: Missing, watch: StopWatch) -> Answer:
-        mask = np.full(frame.depth.shape, settings.unknown_value, np.uint8)
         try:
             info = self._queue.info_for(frame, settings.camera_info_policy)
         except Missing:
             info = None
         watch.lap("transforms")
-        masks = {light.name: mask for light in settings.enabled_lights}
-        return Answer(frame, info, missing, mask, masks, watch.stages)
+        return Answer(
+            frame,
+            info,
+            missing,
+            tuple(light.name for light in settings.lights),
+            tuple(light.name for light in settings.enabled_lights),
+            settings.unknown_value,
+            stages=watch.stages,
+        )
+
+
+def forget_surface(scene: Scene, settings: Settings) -> None:
+    """Take the surface of an earlier depth image out of the scene if it is not to cast shadow any more."""
+    if not settings.uses_depth and DEPTH_PART in scene:
+        scene.remove(DEPTH_PART)
+
+
+def check_age(meshes: MeshStore, settings: Settings, now_ns: int) -> None:
+    """Drop the parts whose lifetime is over, and raise Missing if one that is left is stale.
+
+    Args:
+        now_ns: time of the node's clock [ns].
+    """
+    meshes.expire(now_ns)
+    if settings.mesh_max_age <= 0.0 or not settings.uses_meshes:
+        return
+    key, age = meshes.oldest(now_ns)
+    if age > settings.mesh_max_age:
+        what = "the mesh" if key == "mesh" else f"mesh part {key!r}"
+        raise Missing(
+            MESH,
+            f"{what} is {age:.1f} s old and mesh.max_age is {settings.mesh_max_age:g} s; restart its publisher, or set "
+            "mesh.max_age to 0",
+            wait=False,
+        )

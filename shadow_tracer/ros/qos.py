@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""QoS profiles by purpose, and the durability of the mesh subscription, which follows its publishers."""
+"""QoS profiles by purpose, and what a subscription can ask of the publishers there are."""
 
 from __future__ import annotations
 
@@ -26,6 +26,21 @@ def newest_reliable() -> QoSProfile:
     return _profile(ReliabilityPolicy.RELIABLE, 1)
 
 
+def every_of_sensor() -> QoSProfile:
+    """Depth images and camera_info when each one is to be answered: as many as may wait in the node, too."""
+    return _profile(ReliabilityPolicy.RELIABLE, 64)
+
+
+def newest_of_pose() -> QoSProfile:
+    """Poses of lights: best effort, so that every publisher matches; only the newest."""
+    return _profile(ReliabilityPolicy.BEST_EFFORT, 1)
+
+
+def burst() -> QoSProfile:
+    """Marker arrays, clouds and queries: reliable, and a burst of them is kept, for each tells of something else."""
+    return _profile(ReliabilityPolicy.RELIABLE, 32)
+
+
 def history_of_sensor() -> QoSProfile:
     """Camera poses: best effort, so that every publisher matches; bursts are kept, the nearest in time is needed."""
     return _profile(ReliabilityPolicy.BEST_EFFORT, 50)
@@ -42,11 +57,9 @@ def overridable(durability: bool = True) -> QoSOverridingOptions:
     return QoSOverridingOptions([*kinds, QoSPolicyKind.DURABILITY] if durability else kinds)
 
 
-def with_durability(profile: QoSProfile, durability: DurabilityPolicy) -> QoSProfile:
-    """A copy with another durability."""
-    return QoSProfile(
-        history=profile.history, depth=profile.depth, reliability=profile.reliability, durability=durability
-    )
+def changed(profile: QoSProfile, durability: DurabilityPolicy, reliability: ReliabilityPolicy) -> QoSProfile:
+    """A copy with another durability and reliability."""
+    return QoSProfile(history=profile.history, depth=profile.depth, reliability=reliability, durability=durability)
 
 
 def matching_durability(publishers: Iterable[TopicEndpointInfo]) -> DurabilityPolicy | None:
@@ -60,6 +73,14 @@ def matching_durability(publishers: Iterable[TopicEndpointInfo]) -> DurabilityPo
     return (
         DurabilityPolicy.TRANSIENT_LOCAL if offered == {DurabilityPolicy.TRANSIENT_LOCAL} else DurabilityPolicy.VOLATILE
     )
+
+
+def matching_reliability(publishers: Iterable[TopicEndpointInfo]) -> ReliabilityPolicy | None:
+    """Reliable if all publishers offer it; None without any."""
+    offered = {info.qos_profile.reliability for info in publishers}
+    if not offered:
+        return None
+    return ReliabilityPolicy.RELIABLE if offered == {ReliabilityPolicy.RELIABLE} else ReliabilityPolicy.BEST_EFFORT
 
 
 def mismatch(

@@ -9,12 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer import Bias, Bounds, DirectionalLight, PointLight, SpotLight
+from shadow_tracer import Bias, Bounds, DirectionalLight, PointLight, SphereLight, SpotLight
 
 FloatArray = npt.NDArray[np.float64]
-Light = PointLight | SpotLight | DirectionalLight
+Light = PointLight | SpotLight | DirectionalLight | SphereLight
 
-LIGHT_TYPES = ("point", "spot", "directional")
+LIGHT_TYPES = ("point", "spot", "directional", "sun", "sphere")
+
+
+@dataclass(frozen=True)
+class SunSettings:
+    """Where and when the sun is looked up: degrees, and a time [ns] since 1970 UTC, None being that of the image."""
+
+    latitude: float
+    longitude: float
+    time: int | None
 
 
 @dataclass(frozen=True)
@@ -29,24 +38,29 @@ class LightSettings:
     direction: tuple[float, float, float]
     outer_angle: float
     range: float
+    radius: float
+    sun: SunSettings
 
-    def light(self, frame_to_world: FloatArray) -> Light:
+    def light(self, frame_to_world: FloatArray, direction: FloatArray | None = None) -> Light:
         """The light in the world.
 
         Args:
             frame_to_world: (4, 4) rigid transform from the light's frame.
+            direction: (3,) the way its light travels in that frame, where the parameter does not say it (the sun).
 
         Raises:
             ValueError: the values make no light; the message starts with the key.
         """
         position = frame_to_world[:3, :3] @ np.asarray(self.position) + frame_to_world[:3, 3]
-        direction = frame_to_world[:3, :3] @ np.asarray(self.direction)
+        way = frame_to_world[:3, :3] @ (np.asarray(self.direction) if direction is None else direction)
         reach = self.range if self.range > 0.0 else math.inf
         if self.type == "point":
             return PointLight(self.name, position, range=reach)
         if self.type == "spot":
-            return SpotLight(self.name, position, direction, self.outer_angle, range=reach)
-        return DirectionalLight(self.name, direction)
+            return SpotLight(self.name, position, way, self.outer_angle, range=reach)
+        if self.type == "sphere":
+            return SphereLight(self.name, position, self.radius, range=reach)
+        return DirectionalLight(self.name, way)
 
 
 @dataclass(frozen=True)
@@ -62,12 +76,20 @@ class Settings:
     tf_timeout: float
     mesh_frame: str
     mesh_max_age: float
+    mesh_files: tuple[str, ...]
+    mesh_files_scale: float
+    occluders: str
+    depth_occluder_step: int
+    depth_occluder_max_jump: float
     camera_info_policy: str
     lights: tuple[LightSettings, ...]
     bias_constant: float
     bias_quadratic: float
     front_face_culling: bool
     unknown_value: int
+    mask_publish: str
+    process: str
+    verify_every: int
     max_triangles: int
     max_rays: int
     max_lights: int
@@ -95,6 +117,16 @@ class Settings:
     def enabled_lights(self) -> tuple[LightSettings, ...]:
         """The lights that shine."""
         return tuple(light for light in self.lights if light.enabled)
+
+    @property
+    def uses_meshes(self) -> bool:
+        """Whether received meshes and mesh files cast shadow."""
+        return self.occluders != "depth"
+
+    @property
+    def uses_depth(self) -> bool:
+        """Whether the depth image itself casts shadow."""
+        return self.occluders != "mesh"
 
     @property
     def tracer_device(self) -> str | None:

@@ -14,7 +14,21 @@ from typing import NoReturn
 import pytest
 
 HERE = Path(__file__).parent
-WITHOUT_ROS = {"test_cdr.py", "test_parameters.py"}
+WITHOUT_ROS = {
+    "test_cdr.py",
+    "test_cdr_markers.py",
+    "test_clouds.py",
+    "test_frame_queue.py",
+    "test_launch.py",
+    "test_markers.py",
+    "test_mesh_files.py",
+    "test_mesh_store.py",
+    "test_overlay.py",
+    "test_parameters.py",
+    "test_sun.py",
+    "test_transform_tree.py",
+    "test_transport.py",
+}
 HAS_ROS = all(importlib.util.find_spec(name) for name in ("rclpy", "sensor_msgs", "shape_msgs", "diagnostic_msgs"))
 
 sys.path.insert(0, str(HERE))  # for tf_double

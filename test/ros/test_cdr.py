@@ -96,6 +96,15 @@ def test_coordinates_that_are_not_finite_are_located(value: float) -> None:
         parse_mesh(encode_mesh(points, corners), 100)
 
 
+def test_coordinates_that_no_scene_takes_are_located() -> None:
+    points, corners = sample()
+    points[1, 0] = 1e50
+    check(parse_mesh(encode_mesh(points, corners), 100))
+    points[1, 0] = -1.1e50
+    with pytest.raises(MeshMessageError, match=r"coordinate x of vertex 1 is -1\.1e\+50, larger than 1e\+50 m"):
+        parse_mesh(encode_mesh(points, corners), 100)
+
+
 @pytest.mark.parametrize("header", [b"\x00\x06", b"\x00\x07", b"\xff\xff", b"\x01\x00"])
 def test_other_encapsulations_are_refused(header: bytes) -> None:
     with pytest.raises(MeshMessageError, match="header: expected plain CDR"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where things are: poses by stamp, the three pose sources, and frames that wait."""
+"""Where things are: poses by stamp, the three pose sources, tf and what of it is kept."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import image_msg, info_msg
-from tf_double import Buffer, module
+from tf_double import SECOND, Buffer, module, transform
 
-from shadow_tracer.ros.diagnostics import ERROR, WARN, Complaint, Missing, RateMeter, Window
-from shadow_tracer.ros.frame_queue import FrameQueue, WaitingFrame
-from shadow_tracer.ros.frames import Frames, PoseBuffer, Tf2
+from shadow_tracer.ros.diagnostics import ERROR, WARN, Missing
+from shadow_tracer.ros.frames import STATIC_PERIOD, Frames, PoseBuffer, Poses, Tf2
 from shadow_tracer.ros.parameters import settings_from
 
 MS = 1_000_000
@@ -111,103 +109,257 @@ def test_pose_from_parameter_and_a_light_on_the_camera() -> None:
 )
 def test_without_tf_the_setting_that_helps_is_named(values: dict[str, Any], field: str, message: str) -> None:
     frames, settings = frames_for(values)
+    found = frames.at(settings, "camera", 5)
     with pytest.raises(Missing) as caught:
-        frames.at(settings, "camera", 5).frame_to_world(field, "mesh.frame")
+        _ = found.frame_to_world(field, "mesh.frame") if field else found.camera_to_world
     assert re.search(message, caught.value.text)
     assert caught.value.level == ERROR and not caught.value.wait
 
 
+def test_the_camera_is_only_looked_for_when_it_is_asked_for() -> None:
+    frames, settings = frames_for({"pose_source": "topic", "fixed_frame": "map"})
+    found = frames.at(settings, "camera", 5)
+    np.testing.assert_array_equal(found.frame_to_world("map", "mesh.frame"), np.eye(4))
+    with pytest.raises(Missing, match="no pose has arrived"):
+        _ = found.camera_to_world
+    with pytest.raises(Missing, match="no pose has arrived"):
+        found.frame_to_world("camera", "lights.lamp.frame")
+    frames.camera_poses.add(5, pose(1))
+    assert found.camera_to_world[0, 3] == 1.0
+
+
+def test_the_camera_at_another_stamp() -> None:
+    frames, settings = frames_for({"pose_source": "topic", "fixed_frame": "map", "tf_timeout": 0.0})
+    for stamp in (100, 200):
+        frames.camera_poses.add(stamp, pose(stamp))
+    found = frames.at(settings, "camera", 200)
+    assert found.frame_to_world("camera", "header.frame_id", 100)[0, 3] == 100
+    assert found.frame_to_world("camera", "header.frame_id")[0, 3] == 200
+    with pytest.raises(Missing):
+        found.frame_to_world("camera", "header.frame_id", 150)
+
+
+def test_what_was_found_is_shared_and_cannot_be_changed() -> None:
+    asked: list[tuple[str, int | None]] = []
+
+    def lookup(frame: str, field: str, stamp: int | None) -> np.ndarray:
+        asked.append((frame, stamp))
+        return pose(len(asked))
+
+    found = Poses("map", "camera", lambda stamp: pose(9), lookup)
+    first = found.frame_to_world("odom", "one")
+    assert found.frame_to_world("odom", "two") is first
+    assert found.frame_to_world("odom", "two", 7) is not first
+    assert asked == [("odom", None), ("odom", 7)]
+    for matrix in (first, found.camera_to_world, found.frame_to_world("map", "one")):
+        with pytest.raises(ValueError, match="read-only"):
+            matrix[0, 3] = 1.0
+
+
+class Clock:
+    """Steady time that goes when it is told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Tf:
+    """A double of tf2_ros, frames that use it, and a clock of their own."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        double, self.made = module()
+        monkeypatch.setitem(sys.modules, "tf2_ros", double)
+        self.clock = Clock()
+        self.node: Any = object()
+        self.settings: Any = None
+
+    def frames(self, values: dict[str, Any]) -> Frames:
+        self.settings = settings_from(values)
+        frames = Frames(lambda: Tf2(self.node), clock=self.clock)
+        frames.configure(self.settings)
+        return frames
+
+    @property
+    def buffer(self) -> Buffer:
+        (made,) = self.made
+        return made
+
+
 @pytest.fixture
-def tf(monkeypatch: pytest.MonkeyPatch) -> list[Buffer]:
-    double, made = module()
-    monkeypatch.setitem(sys.modules, "tf2_ros", double)
-    return made
+def tf(monkeypatch: pytest.MonkeyPatch) -> Tf:
+    return Tf(monkeypatch)
 
 
-def test_tf_is_asked_at_the_stamp_of_the_image(tf: list[Buffer]) -> None:
-    node: Any = object()
-    frames, settings = frames_for({"fixed_frame": "map", "mesh.frame": "odom"}, lambda: Tf2(node))
-    assert frames.has_tf and tf[0].node is node
-    with pytest.raises(Missing, match="tf2_echo map camera") as caught:
-        frames.at(settings, "camera", 50)
-    assert caught.value.wait and caught.value.level == WARN
-    tf[0].put("map", "camera", 2.0, until=100)
-    with pytest.raises(Missing, match="extrapolation"):
-        frames.at(settings, "camera", 101)
-    found = frames.at(settings, "camera", 100)
+def test_tf_is_asked_at_the_stamp_of_the_image(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map", "mesh.frame": "odom"})
+    assert frames.has_tf and tf.buffer.node is tf.node
+    with pytest.raises(Missing, match=r"for the depth image at the stamp .* does not exist.*tf2_echo map camera") as no:
+        _ = frames.at(tf.settings, "camera", 50).camera_to_world
+    assert no.value.wait and no.value.level == WARN
+    tf.buffer.put("map", "camera", 2.0, until=100)
+    with pytest.raises(Missing, match="extrapolation into the future"):
+        _ = frames.at(tf.settings, "camera", 101).camera_to_world
+    found = frames.at(tf.settings, "camera", 100)
     np.testing.assert_allclose(found.camera_to_world @ [1, 0, 0, 1], [2, 1, 0, 1], atol=1e-15)
-    with pytest.raises(Missing, match="'odom' to 'map'"):
+    with pytest.raises(Missing, match="'odom' to 'map' for mesh.frame at"):
         found.frame_to_world("odom", "mesh.frame")
-    tf[0].put("map", "odom", 3.0, until=100)
+    tf.buffer.put("map", "odom", 3.0, until=100)
     assert found.frame_to_world("odom", "mesh.frame")[0, 3] == 3.0
     frames.clear()
-    assert tf[0].cleared == 1
+    assert tf.buffer.cleared == 1
+    with pytest.raises(Missing, match="when looking up transform from frame"):
+        _ = frames.at(tf.settings, "camera", 100).camera_to_world
 
 
-def test_empty_fixed_frame_with_tf_looks_into_the_camera(tf: list[Buffer]) -> None:
-    frames, settings = frames_for({"mesh.frame": "odom"}, lambda: Tf2(object()))  # type: ignore[arg-type]
-    tf[0].put("camera", "odom", 4.0, until=100)
-    assert frames.at(settings, "camera", 5).frame_to_world("odom", "mesh.frame")[0, 3] == 4.0
+def test_between_two_stamps_tf_interpolates(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
+    half = np.sqrt(0.5)
+    tf.buffer.set_transform(transform("map", "camera", SECOND, (1, 0, 0)), "")
+    tf.buffer.set_transform(transform("map", "camera", 2 * SECOND, (3, 4, 0), (0, 0, half, half)), "")
+    found = frames.at(tf.settings, "camera", SECOND * 3 // 2).camera_to_world
+    np.testing.assert_allclose(found[:3, 3], (2, 2, 0))
+    np.testing.assert_allclose(found[:3, 0], (half, half, 0))
+    with pytest.raises(Missing, match="into the past"):
+        _ = frames.at(tf.settings, "camera", SECOND - 1).camera_to_world
 
 
-def test_transform_that_is_none_is_an_error(tf: list[Buffer]) -> None:
-    frames, settings = frames_for({"fixed_frame": "map"}, lambda: Tf2(object()))  # type: ignore[arg-type]
-    tf[0].put("map", "camera", float("nan"), until=100)
+def test_a_transform_that_comes_late(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
+    tf.buffer.put("map", "camera", 1.0, until=SECOND)
+    stamp = SECOND + 10 * MS
+    found = frames.at(tf.settings, "camera", stamp)
+    with pytest.raises(Missing, match="into the future") as late:
+        _ = found.camera_to_world
+    assert late.value.wait
+    tf.buffer.put("map", "camera", 2.0, until=stamp)
+    assert found.camera_to_world[0, 3] == 2.0
+
+
+def test_two_trees_are_explained(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
+    tf.buffer.put("odom", "camera", 1.0, until=SECOND)
+    tf.buffer.put("earth", "map", 1.0, until=SECOND)
+    with pytest.raises(Missing, match="not part of the same tree"):
+        _ = frames.at(tf.settings, "camera", SECOND).camera_to_world
+
+
+def test_static_transforms_are_kept_for_a_while(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
+    for child, parent in (("camera", "base"), ("base", "map")):
+        tf.buffer.set_transform_static(transform(parent, child, 0, (1, 0, 0)), "")
+
+    def x(stamp: int) -> float:
+        return float(frames.at(tf.settings, "camera", stamp).camera_to_world[0, 3])
+
+    assert x(5) == 2.0
+    asked = tf.buffer.asked
+    assert [x(stamp) for stamp in (6, 7 * SECOND, 3)] == [2.0, 2.0, 2.0]
+    assert tf.buffer.asked == asked
+    tf.buffer.set_transform_static(transform("base", "camera", 0, (5, 0, 0)), "")  # published anew
+    assert x(8) == 2.0
+    tf.clock.now += STATIC_PERIOD
+    assert x(9) == 6.0
+    # From then on it moves: what was kept is forgotten, and a stamp that is not known is said.
+    tf.buffer.set_transform(transform("base", "camera", SECOND, (7, 0, 0)), "")
+    tf.clock.now += STATIC_PERIOD
+    with pytest.raises(Missing, match="extrapolation"):
+        x(9)
+    assert x(SECOND) == 8.0
+
+
+def test_moving_transforms_are_never_kept(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
+    tf.buffer.set_transform_static(transform("base", "camera", 0, (1, 0, 0)), "")
+    for k in range(4):
+        tf.buffer.set_transform(transform("map", "base", (k + 1) * SECOND, (k, 0, 0)), "")
+    for k in (0, 3, 1, 2):
+        assert frames.at(tf.settings, "camera", (k + 1) * SECOND).camera_to_world[0, 3] == k + 1.0
+
+
+def test_after_a_time_jump_static_transforms_are_still_there_and_right(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map", "mesh.frame": "odom"})
+    tf.buffer.set_transform_static(transform("map", "camera", 0, (1, 0, 0)), "")
+    tf.buffer.put("map", "odom", 4.0, until=SECOND)
+    found = frames.at(tf.settings, "camera", SECOND)
+    assert (found.camera_to_world[0, 3], found.frame_to_world("odom", "mesh.frame")[0, 3]) == (1.0, 4.0)
+    tf.buffer.set_transform_static(transform("map", "camera", 0, (2, 0, 0)), "")  # the simulation starts again
+    frames.clear()
+    found = frames.at(tf.settings, "camera", SECOND)
+    assert found.camera_to_world[0, 3] == 2.0
+    with pytest.raises(Missing):
+        found.frame_to_world("odom", "mesh.frame")
+
+
+def test_an_image_without_stamp_does_not_get_the_latest_transform(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map", "mesh.frame": "odom"})
+    tf.buffer.put("map", "camera", 1.0, until=SECOND)
+    tf.buffer.set_transform_static(transform("map", "odom", 0, (3, 0, 0)), "")
+    for stamp in (0, -5 * SECOND):
+        found = frames.at(tf.settings, "camera", stamp)
+        with pytest.raises(Missing, match=r"header.stamp is -?\d s; set it in the driver") as caught:
+            _ = found.camera_to_world
+        assert not caught.value.wait
+        assert found.frame_to_world("odom", "mesh.frame")[0, 3] == 3.0
+
+
+def test_the_stamp_of_a_message_is_another(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
+    for k in range(3):
+        tf.buffer.set_transform(transform("map", "arm", (k + 1) * SECOND, (k, 0, 0)), "")
+    found = frames.at(tf.settings, "camera", 3 * SECOND)
+    field = "header.frame_id of mesh_markers 'arm' 3"
+    assert found.frame_to_world("arm", field, 2 * SECOND)[0, 3] == 1.0
+    assert found.frame_to_world("arm", field)[0, 3] == 2.0
+    with pytest.raises(Missing, match=f"for {field} at the stamp of its message: .*into the future"):
+        found.frame_to_world("arm", field, 4 * SECOND)
+
+
+def test_tf_is_listened_to_once_a_message_needs_it(tf: Tf) -> None:
+    frames = tf.frames({"pose_source": "parameter", "fixed_frame": "map"})
+    assert not frames.has_tf and not tf.made
+    found = frames.at(tf.settings, "camera", SECOND)
+    with pytest.raises(Missing) as caught:
+        found.frame_to_world("arm", "header.frame_id of mesh_markers 'arm' 3")
+    assert caught.value.wait and frames.has_tf
+    tf.buffer.put("map", "arm", 1.0, until=SECOND)
+    assert found.frame_to_world("arm", "header.frame_id of mesh_markers 'arm' 3")[0, 3] == 1.0
+
+
+def test_closed_frames_listen_no_more_and_can_be_opened_again(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
+    buffer = tf.buffer
+    frames.close()
+    assert not frames.has_tf and buffer.node is None
+    frames.configure(tf.settings)
+    assert frames.has_tf and tf.made[1].node is tf.node
+
+
+def test_empty_fixed_frame_with_tf_looks_into_the_camera(tf: Tf) -> None:
+    frames = tf.frames({"mesh.frame": "odom"})
+    tf.buffer.put("camera", "odom", 4.0, until=100)
+    assert frames.at(tf.settings, "camera", 5).frame_to_world("odom", "mesh.frame")[0, 3] == 4.0
+
+
+def test_transform_that_is_none_is_an_error(tf: Tf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """tf2 keeps infinite translations."""
+    frames = tf.frames({"fixed_frame": "map"})
+    tf.buffer.put("map", "camera", float("inf"), until=100)
     with pytest.raises(Missing, match="transform from camera to map: expected finite") as caught:
-        frames.at(settings, "camera", 5)
+        _ = frames.at(tf.settings, "camera", 100).camera_to_world
     assert not caught.value.wait
 
 
-def test_image_without_frame_is_explained(tf: list[Buffer]) -> None:
-    frames, settings = frames_for({"fixed_frame": "map"}, lambda: Tf2(object()))  # type: ignore[arg-type]
+def test_image_without_frame_is_explained(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
     with pytest.raises(Missing, match="header.frame_id of the depth image is empty"):
-        frames.at(settings, "", 5)
+        _ = frames.at(tf.settings, "", 5).camera_to_world
 
 
-def frame(stamp: int) -> WaitingFrame:
-    depth = np.ones((2, 2), np.float32)
-    return WaitingFrame(image_msg(depth, stamp), depth, stamp, 0.0)
-
-
-def test_taking_a_frame_drops_those_before_it() -> None:
-    queue = FrameQueue(capacity=3)
-    frames = [frame(stamp) for stamp in range(5)]
-    for item in frames:
-        queue.put(item)
-    assert list(queue.newest_first()) == frames[:1:-1] and queue.dropped == 2
-    queue.take(frames[3])
-    assert list(queue.newest_first()) == [frames[4]] and queue.dropped == 3
-    queue.put(frame(9))
-    queue.keep_newest()
-    assert len(queue) == 1 and queue.dropped == 4
-    queue.clear()
-    assert len(queue) == 0 and queue.dropped == 5
-
-
-def test_camera_info_by_stamp_or_the_latest() -> None:
-    queue = FrameQueue(infos=3)
-    with pytest.raises(Missing, match="no camera_info has arrived"):
-        queue.info_for(frame(1), "latest")
-    for stamp in (1, 2, 3, 4):
-        queue.put_info(info_msg(2, 2, stamp))
-    assert queue.info_for(frame(3), "exact").header.stamp.nanosec == 3
-    assert queue.info_for(frame(3), "latest").header.stamp.nanosec == 4
-    with pytest.raises(Missing, match="camera_info_policy to latest"):
-        queue.info_for(frame(1), "exact")
-
-
-def test_meters() -> None:
-    rate = RateMeter()
-    assert rate.rate(0.0) == 0.0 and rate.age(0.0) == np.inf
-    for k in range(11):
-        rate.tick(k * 0.1)
-    assert rate.rate(1.0) == pytest.approx(10.0) and rate.age(1.5) == pytest.approx(0.5)
-    assert rate.rate(9.0) == 0.0 and rate.count == 11
-    complaint = Complaint(remember=2.0)
-    assert not complaint.recent(0.0)
-    complaint.add("no", 1.0)
-    assert complaint.recent(3.0) and not complaint.recent(3.1) and complaint.count == 1
-    window = Window()
-    assert window.summary() == "-"
-    window.add(2.0)
-    assert window.summary() == "2.0 / 2.0 / 2.0"
+def test_frame_that_cannot_be_is_explained(tf: Tf) -> None:
+    frames = tf.frames({"fixed_frame": "map"})
+    tf.buffer.put("map", "camera", 1.0, until=100)
+    with pytest.raises(Missing, match="cannot start with a '/'"):
+        _ = frames.at(tf.settings, "/camera", 100).camera_to_world

@@ -3,18 +3,28 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Point, Pose
+from geometry_msgs.msg import Point, Pose, PoseStamped
 from harness import image_msg, info_msg, plate
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 from shape_msgs.msg import Mesh, MeshTriangle
 
 from shadow_tracer.ros.cdr import encode_mesh, parse_mesh
-from shadow_tracer.ros.messages import MessageError, decode_depth, intrinsics, mask_image, pose_matrix, rigid
+from shadow_tracer.ros.messages import (
+    MessageError,
+    camera_pose,
+    decode_depth,
+    image_message,
+    intrinsics,
+    mask_image,
+    pose_matrix,
+    rigid,
+)
 
 MILLIMETRES = np.array([[0, 1, 700], [1500, 40000, 65535]], np.uint16)
 METRES = np.array([[0.0, np.nan, 0.7], [1.5, -np.inf, 1e-3]], np.float32)
@@ -94,8 +104,8 @@ def test_distortion_is_a_warning() -> None:
     ("field", "values", "message"),
     [
         ("k", {0: 0.0}, "uncalibrated"),
-        ("p", {0: float("nan")}, "camera_info.p: expected finite"),
-        ("p", {5: 0.0}, "camera_info.p: expected finite fx, fy > 0"),
+        ("p", {0: float("nan")}, "camera_info.p: expected fx, fy from 0.001"),
+        ("p", {5: 0.0}, "camera_info.p: expected fx, fy from 0.001"),
         ("p", {0: -60.0}, "camera_info.p"),
         ("p", {2: float("inf")}, "camera_info.p"),
     ],
@@ -139,6 +149,30 @@ def test_mask_image_keeps_the_header() -> None:
     assert msg.header == depth.header
     assert (msg.encoding, msg.height, msg.width, msg.step, msg.is_bigendian) == ("mono8", 3, 5, 5, 0)
     assert bytes(msg.data) == mask.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels", "step"),
+    [("rgb8", np.arange(36, dtype=np.uint8).reshape(3, 4, 3), 12), ("16UC1", np.full((2, 5), 0x0102, np.uint16), 10)],
+)
+def test_images_of_other_encodings(encoding: str, pixels: np.ndarray, step: int) -> None:
+    msg = image_message(pixels, encoding, image_msg(np.ones((9, 9), np.float32), 1))
+    again = deserialize_message(serialize_message(msg), Image)
+    assert again == msg and (again.encoding, again.step) == (encoding, step)
+    assert (again.height, again.width) == pixels.shape[:2] and again.is_bigendian == (sys.byteorder == "big")
+    assert bytes(again.data) == pixels.tobytes()
+
+
+def test_camera_pose_must_be_in_the_fixed_frame() -> None:
+    msg = PoseStamped()
+    msg.header.frame_id, msg.header.stamp.sec, msg.pose.position.x = "map", 2, 3.0
+    for fixed in ("map", ""):
+        stamp, pose = camera_pose(msg, fixed)
+        assert stamp == 2_000_000_000 and pose[:3, 3].tolist() == [3.0, 0.0, 0.0]
+    with pytest.raises(MessageError, match="header.frame_id: expected fixed_frame 'odom', got 'map'"):
+        camera_pose(msg, "odom")
+    msg.header.frame_id = ""
+    assert camera_pose(msg, "odom")[0] == 2_000_000_000
 
 
 @pytest.mark.parametrize("triangles", [0, 1, 2, 3])

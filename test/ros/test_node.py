@@ -177,7 +177,7 @@ def test_an_empty_mesh_takes_the_shadow_away_and_diagnostics_warns(rig: Rig) -> 
     assert shadow_size(rig.trace(wall()))
     rig.send_mesh(np.empty((0, 3)), np.empty((0, 3), int))
     assert shadow_size(rig.trace(wall())) == 0
-    rig.wait_status(MESH, WARN, "the mesh has no triangles")
+    rig.wait_status(MESH, WARN, "the meshes have no triangles")
     rig.send_mesh(*plate())
     assert shadow_size(rig.trace(wall()))
 
@@ -329,7 +329,9 @@ def test_durability_follows_all_publishers() -> None:
     """With one volatile publisher a transient local subscription would be deaf to it."""
     with Rig(latched=True) as rig:
         rig.send_mesh(*plate())
-        rig.until(lambda: rig.node and rig.node._mesh_in.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+        assert rig.node is not None
+        subscription = rig.node.core.inputs.subscriptions["mesh"]
+        rig.until(lambda: subscription.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
         other = rig.friend.create_publisher(Mesh, "mesh", 1)
         rig.until(lambda: other.get_subscription_count(), what="the volatile publisher is heard")
         other.publish(encode_mesh(*plate(x=0.3)))
@@ -351,10 +353,11 @@ def test_a_best_effort_mesh_publisher_is_explained_and_the_setting_works() -> No
         rig.wait_status(MESH, OK, "2 triangles")
 
 
-def test_another_type_on_the_mesh_topic_is_explained() -> None:
+def test_another_type_on_the_mesh_topic_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
     with Rig(arguments=["-r", "mesh:=other"], start=False) as rig:
         publisher = rig.friend.create_publisher(PoseStamped, "elsewhere", 1)
         rig.connected = lambda *_: None  # type: ignore[method-assign]
         node = rig.start()
-        node._mesh_topic = publisher.topic_name  # the same process refuses two types on one topic
+        # The same process refuses two types on one topic, so the subscription is shown another one.
+        monkeypatch.setattr(type(node.core.inputs.subscriptions["mesh"]), "topic", publisher.topic_name)
         rig.wait_status(MESH, ERROR, "publishes geometry_msgs/msg/PoseStamped on /elsewhere")

@@ -68,7 +68,7 @@ BAD = [
     ("bounds.queue_capacity", 2**30 + 1, "bounds.queue_capacity: expected integer (1 to 1073741824)"),
     ("bounds.grid_entries", 0, "bounds.grid_entries: expected integer (1 to 2147483647), got 0"),
     ("diagnostics_period", 0.0, "diagnostics_period: expected double (0.1 to 1 s), got 0.0"),
-    ("lights.lamp.type", "laser", "lights.lamp.type: expected string (point, spot, directional), got 'laser'"),
+    ("lights.lamp.type", "laser", "lights.lamp.type: expected string (point, spot, directional, sun, sphere), got 'laser'"),
     ("lights.lamp.enabled", "yes", "lights.lamp.enabled: expected bool, got 'yes'"),
     ("lights.lamp.enabled", 1, "lights.lamp.enabled: expected bool, got 1"),
     ("lights.lamp.frame", "/lamp", "lights.lamp.frame: expected string"),

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The answer to one depth image; masks are made from it when somebody wants them. No ROS here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shadow_tracer import Frame
+from shadow_tracer.ros.diagnostics import Missing
+from shadow_tracer.ros.frame_queue import WaitingFrame
+from shadow_tracer.ros.messages import Intrinsics
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import CameraInfo
+
+Mask = npt.NDArray[np.uint8]
+MOST_BITS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What is known about one depth image.
+
+    Attributes:
+        frame: the depth image.
+        info: its camera_info, None if there is none.
+        missing: why nothing is known; None if the frame was traced.
+        names: all lights in the order of the parameter ``lights``.
+        enabled: those among them that are enabled.
+        unknown_value: value of pixels of which nothing is known.
+        traced: the tracer's result for the lights that shine; None if nothing is known or no light shines.
+        optics: the intrinsics that were used, None if nothing is known.
+        stages: stage -> milliseconds, in order.
+        numbers: counters of the tracer.
+        warning: what is doubtful about the input though it was used, "" if nothing.
+    """
+
+    frame: WaitingFrame
+    info: CameraInfo | None
+    missing: Missing | None
+    names: tuple[str, ...]
+    enabled: tuple[str, ...]
+    unknown_value: int
+    traced: Frame | None = None
+    optics: Intrinsics | None = None
+    stages: dict[str, float] = field(default_factory=dict)
+    numbers: dict[str, Any] = field(default_factory=dict)
+    warning: str = ""
+
+    def mask(self, light: str | None = None) -> Mask:
+        """(H, W) uint8 mask of a light, or of all together: 255 lit, 0 not reached, ``unknown_value``."""
+        if self.missing is not None:
+            return np.full(self.frame.depth.shape, self.unknown_value, np.uint8)
+        if self.traced is not None and (light is None or light in self.traced.names):
+            return self.traced.mask(light, unknown=self.unknown_value)
+        return np.where(self._measured(), np.uint8(0), np.uint8(self.unknown_value))
+
+    def bits(self) -> npt.NDArray[Any]:
+        """(H, W) image in which bit i is set where light i of ``names`` reaches: uint8 up to 8 lights, uint16 up to 16.
+
+        Raises:
+            ValueError: more than 16 lights.
+        """
+        if len(self.names) > MOST_BITS:
+            raise ValueError(f"light_bits: expected at most {MOST_BITS} lights, got {len(self.names)}")
+        kind = np.uint8 if len(self.names) <= 8 else np.uint16
+        bits = np.zeros(self.frame.depth.shape, np.uint16)
+        if self.traced is not None and self.missing is None:
+            found = self.traced.bits()
+            for index, name in enumerate(self.traced.names):
+                bits |= ((found >> np.uint16(index)) & np.uint16(1)) << np.uint16(self.names.index(name))
+        return bits.astype(kind)
+
+    def _measured(self) -> npt.NDArray[np.bool_]:
+        depth = self.frame.depth
+        measured: npt.NDArray[np.bool_] = np.isfinite(depth) & (depth > 0)
+        return measured

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two statuses of ``/diagnostics`` about what comes in: depth images, and meshes. No ROS here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from shadow_tracer.ros.diagnostics import ERROR, OK, WARN
+from shadow_tracer.ros.mesh_sources import TOPICS
+from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.transport import LARGE
+
+if TYPE_CHECKING:
+    from shadow_tracer.ros.inputs import Inputs
+
+_SILENT = 3.0  # seconds after which an input counts as silent
+_MUCH = 0.1  # share of images that the transport may lose before it is said
+
+Verdict = tuple[bytes, str, dict[str, Any]]
+
+
+def judge_depth(inputs: Inputs, settings: Settings, warning: str, busy_ms: float, now: float) -> Verdict:
+    """The status ``input depth``.
+
+    Args:
+        warning: what is doubtful about the last frame that was traced.
+        busy_ms: mean time the node works on a frame [ms].
+        now: steady time [s].
+    """
+    depth, topic = inputs.depth, inputs.topic("depth")
+    rate, age = depth.rate(now), depth.age(now)
+    lost, sent = inputs.losses.lost_share(now, busy_ms)
+    values = {
+        "topic": topic,
+        "camera_info topic": inputs.topic("info"),
+        "rate [Hz]": f"{rate:.1f}",
+        "age [s]": f"{age:.2f}",
+        "format": inputs.depth_format,
+        "received": depth.count,
+        "refused": inputs.depth_refused.count,
+        "last refusal": inputs.depth_refused.text or "-",
+        "skipped before the node": inputs.losses.skipped,
+        "lost by the transport [%]": f"{100 * lost:.0f}",
+    }
+    if not inputs.subscriptions:
+        return OK, "not listening: the node is not active", values
+    mismatch = inputs.mismatch("depth", "info")
+    if mismatch:
+        return ERROR, mismatch, values
+    if inputs.depth_refused.recent(now):
+        return ERROR, f"image refused, {inputs.depth_refused.text}; correct the publisher of {topic}", values
+    if age > _SILENT:
+        hint = f"see `ros2 topic hz {topic}`, or remap depth/image_rect to the topic of the camera"
+        if depth.count == 0:
+            return WARN, f"no depth image on {topic}; {hint}", values
+        return WARN, f"no depth image for {age:.0f} s on {topic}; {hint}", values
+    if lost > _MUCH:
+        return WARN, f"{100 * lost:.0f} % of the images sent at {sent:.1f} Hz are lost; {_loss_hint(inputs)}", values
+    if warning:
+        return WARN, warning, values
+    return OK, f"{inputs.depth_format} at {rate:.1f} Hz", values
+
+
+def _loss_hint(inputs: Inputs) -> str:
+    topic = inputs.topic("depth")
+    if inputs.depth_bytes < LARGE or not inputs.subscriptions["depth"].best_effort:
+        return f"the network or the machine is too busy; see `ros2 topic hz {topic}`"
+    return (
+        f"stock Fast DDS loses best effort messages of {inputs.depth_bytes / 1e6:.1f} MB: if the camera offers "
+        f"reliable, start this node with -p qos_overrides.{topic}.subscription.reliability:=reliable, else start "
+        "the camera driver with FASTRTPS_DEFAULT_PROFILES_FILE=<share/shadow_tracer>/config/fastdds_large_images.xml"
+    )
+
+
+def judge_mesh(inputs: Inputs, settings: Settings, now: float, now_ns: int) -> Verdict:
+    """The status ``input mesh``.
+
+    Args:
+        now: steady time [s].
+        now_ns: time of the node's clock [ns].
+    """
+    meshes = inputs.meshes
+    store, sources = meshes.store, meshes.sources
+    oldest, age = store.oldest(now_ns)
+    used = {name: source for name, source in sources.items() if source.arrivals.count}
+    values = {
+        "topic": inputs.topic("mesh"),
+        "frame": settings.mesh_frame or settings.fixed_frame or "-",
+        "occluders": settings.occluders,
+        "parts": len(store.parts),
+        "triangles": store.triangle_count,
+        "vertices": store.vertex_count,
+        "age [s]": f"{age:.2f}" if oldest else "-",
+        "oldest part": oldest or "-",
+        "received": meshes.received,
+        "refused": meshes.refused,
+        "last refusal": next((s.refused.text for s in sources.values() if s.refused.recent(now)), "")
+        or next((s.refused.text for s in sources.values() if s.refused.text), "-"),
+        "replaced": store.updates["put"],
+        "deformed": store.updates["deform"],
+        "moved": store.updates["move"],
+        "files": f"{len(settings.mesh_files)}" if settings.mesh_files else "-",
+        "ignored markers": meshes.ignored_markers,
+    }
+    for name, source in used.items():
+        rate = source.arrivals.rate(now)
+        values[f"{name}: rate [Hz]"] = f"{rate:.1f}"
+        values[f"{name}: received / refused"] = f"{source.arrivals.count} / {source.refused.count}"
+        values[f"{name}: parsing, mean / 95 % / max [ms]"] = source.parsing.summary()
+    for name, reason in meshes.layouts.reasons.items():
+        values[f"layout of {name}"] = reason or "as expected"
+    return *_mesh_verdict(inputs, settings, now), values
+
+
+def _mesh_verdict(inputs: Inputs, settings: Settings, now: float) -> tuple[bytes, str]:
+    meshes = inputs.meshes
+    store = meshes.store
+    mismatch = inputs.mismatch(*TOPICS)
+    if mismatch:
+        return ERROR, mismatch
+    for name, source in meshes.sources.items():
+        if source.refused.recent(now):
+            text = f"{source.refused.text}; the last good one stays; correct the publisher of {inputs.topic(name)}"
+            return ERROR, f"{name} refused, {text}"
+    if meshes.files:
+        return ERROR, f"{meshes.files}; correct mesh.files, the others stay"
+    slow = next(filter(None, meshes.layouts.reasons.values()), "")
+    if slow:
+        return WARN, f"{slow}; please report your ROS distribution"
+    if not settings.uses_meshes:
+        return OK, "occluders is depth: the depth image alone casts shadow"
+    if not store.parts and not settings.uses_depth:
+        topic = inputs.topic("mesh")
+        if meshes.received - meshes.refused > 0:
+            return WARN, f"the meshes have no triangles: every valid pixel is lit; see the publisher of {topic}"
+        hint = f"publish shape_msgs/Mesh on {topic}, or remap mesh to its topic, or set mesh.files"
+        return WARN, f"no mesh: every valid pixel is lit; {hint}"
+    if len(store.parts) == 1:
+        return OK, f"{store.triangle_count} triangles"
+    return OK, f"{store.triangle_count} triangles in {len(store.parts)} parts"

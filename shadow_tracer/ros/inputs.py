@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node subscribes to. Callbacks check and store; the work is done in one step afterwards."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from shape_msgs.msg import Mesh
+from visualization_msgs.msg import Marker, MarkerArray
+
+from shadow_tracer.ros import qos
+from shadow_tracer.ros.diagnostics import Complaint, RateMeter
+from shadow_tracer.ros.frame_queue import FrameQueue, WaitingFrame
+from shadow_tracer.ros.frames import Frames
+from shadow_tracer.ros.lighting import Lighting, LightPose
+from shadow_tracer.ros.mesh_sources import MeshSources
+from shadow_tracer.ros.messages import MessageError, camera_pose, decode_depth, pose_matrix, stamp_ns
+from shadow_tracer.ros.queries import Queries
+from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.subscriptions import FollowingSubscription
+from shadow_tracer.ros.transport import LossMeter
+
+BACKWARD_STAMPS = 1_000_000_000  # images this much older than the last one mean a restarted bag, not a late message
+
+_MESH_KINDS = {"mesh": Mesh, "mesh_markers": MarkerArray, "mesh_marker": Marker, "mesh_cloud": PointCloud2}
+
+
+class Inputs:
+    """The subscriptions, and what can be said about what they brought.
+
+    Args:
+        node: the node.
+        guarded: wraps a callback so that it never raises.
+        settings: called for the settings of the moment.
+        work: called when there is something to do.
+        restarted: called with a sentence when the images start again at an earlier time.
+
+    Attributes:
+        depth: meter of depth images, good or not.
+        losses: gaps in their numbers.
+        depth_refused, pose_refused: images and poses that cannot be used.
+        depth_format: encoding and size of the last good image.
+        depth_bytes: bytes of its pixels.
+        camera_frame: its frame, "" before there is one.
+    """
+
+    def __init__(
+        self, node: Node, guarded: Callable[[Callable[..., None]], Callable[..., None]],
+        settings: Callable[[], Settings], work: Callable[[], None], restarted: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self.queue = FrameQueue()
+        self.meshes = MeshSources(settings().max_triangles)
+        self.lighting = Lighting()
+        self.depth = RateMeter()
+        self.losses = LossMeter()
+        self.depth_refused = Complaint()
+        self.pose_refused = Complaint()
+        self.depth_format = "-"
+        self.depth_bytes = 0
+        self.camera_frame = ""
+        self.subscriptions: dict[str, FollowingSubscription] = {}
+        self._node = node
+        self._guarded = guarded
+        self._settings = settings
+        self._work = work
+        self._restarted = restarted
+        self._last_stamp = 0
+        self._next_match = 0
+        self.meshes.layouts.check()
+
+    def connect(self, frames: Frames, queries: Queries) -> None:
+        """Where camera poses and queries go."""
+        self._frames = frames
+        self._queries = queries
+
+    def subscribe(self) -> None:
+        """Begin to listen."""
+        self._add("depth", Image, "depth/image_rect", self._read_depth, qos.newest_of_sensor())
+        read = self._reader(CameraInfo, self.depth_refused, "camera_info", self._on_info)
+        self._add("info", CameraInfo, "depth/camera_info", read, qos.newest_of_sensor())
+        read = self._reader(PoseStamped, self.pose_refused, "camera_pose", self._on_camera_pose)
+        self._add("pose", PoseStamped, "camera_pose", read, qos.history_of_sensor())
+        for name, kind in _MESH_KINDS.items():
+            profile = qos.newest_reliable() if name == "mesh" else qos.burst()
+            self._add(name, kind, name, partial(self._on_mesh, name), profile, durability=True)
+        read = self._reader(PointCloud2, self._queries.refused, "query", self._on_query)
+        self._add("query", PointCloud2, "query", read, qos.burst())
+        self.configure(self._settings())
+
+    def unsubscribe(self) -> None:
+        """Listen to nothing any more."""
+        for name in list(self.subscriptions):
+            self.subscriptions.pop(name).close()
+
+    def configure(self, settings: Settings) -> None:
+        """Follow new settings: order of processing, and which lights there are."""
+        self.queue.every = settings.process == "every"
+        if not self.subscriptions:
+            return
+        for name in ("depth", "info"):
+            profile = qos.every_of_sensor() if self.queue.every else qos.newest_of_sensor()
+            self.subscriptions[name].ask(profile, reliability=self.queue.every)
+        movable = {f"light {light.name}": light.name for light in settings.lights if light.type != "sun"}
+        for key in [key for key in self.subscriptions if key.startswith("light ") and key not in movable]:
+            self.subscriptions.pop(key).close()
+        for key, name in movable.items():
+            if key not in self.subscriptions:
+                topic = f"lights/{name}/pose"
+                read = self._reader(PoseStamped, self.pose_refused, topic, partial(self._on_light_pose, name))
+                self._add(key, PoseStamped, f"~/{topic}", read, qos.newest_of_pose())
+
+    def match(self) -> None:
+        """Look after the publishers of one subscription, another one each time."""
+        names = list(self.subscriptions)
+        if names:
+            self._next_match = (self._next_match + 1) % len(names)
+            self.subscriptions[names[self._next_match]].match()
+
+    def mismatch(self, *names: str) -> str:
+        """Why a publisher of one of these inputs cannot be heard; "" if all can."""
+        found = (self.subscriptions[name].mismatch for name in names if name in self.subscriptions)
+        return next(filter(None, found), "")
+
+    def topic(self, name: str) -> str:
+        """Resolved topic of an input; its name while the node does not listen."""
+        return self.subscriptions[name].topic if name in self.subscriptions else name
+
+    def restart(self, now_ns: int) -> None:
+        """Time has jumped: nothing that waits is of the present."""
+        self._last_stamp = 0
+        self.queue.clear()
+        self._queries.clear()
+        self.meshes.store.restart_age(now_ns)
+
+    def _add(self, name: str, kind: Any, topic: str, callback: Callable[..., None], profile: Any, **how: bool) -> None:
+        self.subscriptions[name] = FollowingSubscription(
+            self._node, kind, topic, self._guarded(callback), profile, **how
+        )
+
+    # Everything arrives as bytes: rclpy drops what it cannot read without a word, here it is counted and explained.
+
+    @staticmethod
+    def _reader(kind: Any, refused: Complaint, what: str, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
+        def read(data: bytes) -> None:
+            try:
+                message = deserialize_message(data, kind)
+            except Exception as error:  # RMWError, UnicodeDecodeError, and what other middleware may raise
+                text = f"{what}: these {len(data)} bytes are no {kind.__name__}: {error}"
+                refused.add(text, time.monotonic())
+                return
+            callback(message)
+
+        return read
+
+    def _read_depth(self, data: bytes, info: dict[str, Any]) -> None:
+        number = info.get("publication_sequence_number") or 0
+        alone = self.subscriptions["depth"].publisher_count == 1
+        self.losses.note(number, time.monotonic(), alone)
+        start = time.perf_counter()
+        self._reader(Image, self.depth_refused, "image", partial(self._on_depth, start=start))(data)
+
+    def _on_depth(self, msg: Image, start: float | None = None) -> None:
+        start = time.perf_counter() if start is None else start
+        now, stamp = time.monotonic(), stamp_ns(msg.header.stamp)
+        self.depth.tick(now)
+        try:
+            depth = decode_depth(msg)
+        except MessageError as error:
+            self.depth_refused.add(str(error), now)
+            return
+        if stamp < self._last_stamp - BACKWARD_STAMPS:
+            self._restarted(f"depth images start again {(self._last_stamp - stamp) * 1e-9:.1f} s earlier")
+        self._last_stamp = stamp
+        self.depth_format, self.depth_bytes = f"{msg.encoding} {msg.width} x {msg.height}", len(msg.data)
+        self.camera_frame = msg.header.frame_id
+        self.queue.put(WaitingFrame(msg, depth, stamp, now, (time.perf_counter() - start) * 1e3))
+        self._work()
+
+    def _on_info(self, msg: CameraInfo) -> None:
+        self.queue.put_info(msg)
+        self._wake()
+
+    def _on_mesh(self, topic: str, data: Any) -> None:
+        self.meshes.receive(topic, data, time.monotonic(), self._node.get_clock().now().nanoseconds)
+
+    def _on_camera_pose(self, msg: PoseStamped) -> None:
+        try:
+            stamp, pose = camera_pose(msg, self._settings().fixed_frame)
+        except MessageError as error:
+            self.pose_refused.add(f"camera_pose: {error}", time.monotonic())
+            return
+        self._frames.camera_poses.add(stamp, pose)
+        self._wake()
+
+    def _on_light_pose(self, name: str, msg: PoseStamped) -> None:
+        try:
+            pose = pose_matrix(msg.pose, "pose")
+        except MessageError as error:
+            self.pose_refused.add(f"lights/{name}/pose: {error}", time.monotonic())
+            return
+        self.lighting.move(name, LightPose(msg.header.frame_id, pose))
+
+    def _on_query(self, msg: PointCloud2) -> None:
+        self._queries.put(msg, self._settings().max_rays, time.monotonic())
+        self._work()
+
+    def _wake(self) -> None:
+        if len(self.queue) or len(self._queries):
+            self._work()

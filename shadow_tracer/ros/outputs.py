@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node publishes. Images are made only where somebody wants them."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+from shadow_tracer.ros import qos
+from shadow_tracer.ros.answer import MOST_BITS, Answer
+from shadow_tracer.ros.messages import image_message
+from shadow_tracer.ros.overlay import overlay
+from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.subscriptions import keeps_for_late_joiners
+
+
+class Outputs:
+    """The publishers. Those of single lights come and go with the lights."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.mask = self._publisher(Image, "~/mask")
+        self.info = self._publisher(CameraInfo, "~/camera_info")
+        self.bits = self._publisher(Image, "~/light_bits")
+        self.overlay = self._publisher(Image, "~/overlay")
+        self.visibility = self._publisher(PointCloud2, "~/query/visibility", qos.burst())
+        self.timing = self._publisher(DiagnosticArray, "~/timing", qos.report())
+        self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
+        self.lights: dict[str, Publisher] = {}
+
+    def configure(self, settings: Settings) -> None:
+        """One mask topic for each light, and none for others."""
+        names = {light.name for light in settings.lights}
+        for name in set(self.lights) - names:
+            self._node.destroy_publisher(self.lights.pop(name))
+        for name in sorted(names - set(self.lights)):
+            self.lights[name] = self._publisher(Image, f"~/mask/{name}")
+
+    def publish(self, answer: Answer, settings: Settings) -> dict[str, float]:
+        """Send what belongs to a frame, its camera_info last. Returns milliseconds by stage."""
+        start = time.perf_counter()
+        always = settings.mask_publish == "always"
+        images: list[tuple[Publisher, Any, str]] = []
+        for name in answer.enabled:
+            if name in self.lights and (always or _wanted(self.lights[name])):
+                images.append((self.lights[name], answer.mask(name), "mono8"))
+        shown = answer.optics is not None and _wanted(self.overlay)
+        mask = answer.mask() if always or shown or _wanted(self.mask) else None
+        if mask is not None and (always or _wanted(self.mask)):
+            images.append((self.mask, mask, "mono8"))
+        if len(answer.names) <= MOST_BITS and (always or _wanted(self.bits)):
+            bits = answer.bits()
+            images.append((self.bits, bits, "mono8" if bits.dtype == np.uint8 else "16UC1"))
+        if shown and mask is not None:
+            images.append((self.overlay, _overlay(answer, mask), "rgb8"))
+        made = time.perf_counter()
+        for publisher, pixels, encoding in images:
+            publisher.publish(image_message(pixels, encoding, answer.frame.image))
+        if answer.info is not None:
+            self.info.publish(answer.info)
+        end = time.perf_counter()
+        return {"masks": (made - start) * 1e3, "publish": (end - made) * 1e3}
+
+    def _publisher(self, kind: Any, topic: str, profile: QoSProfile | None = None) -> Publisher:
+        return self._node.create_publisher(
+            kind, topic, profile or qos.newest_reliable(), qos_overriding_options=qos.overridable()
+        )
+
+
+def _wanted(publisher: Publisher) -> bool:
+    # Nobody can tell a mask nobody listens to from one that was not sent, unless it is kept for late joiners.
+    return publisher.get_subscription_count() > 0 or keeps_for_late_joiners(publisher.qos_profile)
+
+
+def _overlay(answer: Answer, mask: Any) -> Any:
+    optics = answer.optics
+    assert optics is not None
+    return overlay(answer.frame.depth, mask, optics.fx, optics.fy, optics.cx, optics.cy)

@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lights that topics move, that come and go, the sun, and what is published of each: equal bits with the library."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from harness import HEIGHT, WIDTH, Rig, nanoseconds, plate, wall
+from node_world import BIAS, UNKNOWN, all_unknown, camera, library, pose_msg, shadow_size
+from sensor_msgs.msg import Image
+from tf_double import Buffer, module, transform
+
+from shadow_tracer import DirectionalLight, Frame, PointLight, ShadowTracer, SpotLight
+from shadow_tracer.ros.diagnostics import ERROR, OK, PROCESSING, TRANSFORMS, WARN
+from shadow_tracer.ros.messages import rigid
+
+HALF = math.sqrt(0.5)
+ALONG_Z = (0.0, -HALF, 0.0, HALF)  # a rotation that turns +x to +z
+THREE = {
+    "mask.unknown_value": UNKNOWN,
+    "lights": ["lamp", "spot", "sky"],
+    "lights.spot.type": "spot",
+    "lights.spot.outer_angle": 0.4,
+    "lights.sky.type": "directional",
+}
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with Rig(THREE) as made:
+        made.send_mesh(*plate())
+        yield made
+
+
+@pytest.fixture(scope="module")
+def tracer() -> ShadowTracer:
+    made = library()
+    made.scene.put("mesh", *plate())
+    return made
+
+
+def expected(tracer: ShadowTracer, *lights: Any) -> Frame:
+    return tracer.trace(wall(), camera(), lights, bias=BIAS)
+
+
+def place(rig: Rig, name: str, *pose: Any, **more: Any) -> None:
+    """Send a light a pose, and wait until it has it."""
+    lighting = rig.core.inputs.lighting
+    before = lighting._poses.get(name)
+    rig.publisher(PoseStamped, f"shadow_tracer/lights/{name}/pose").publish(pose_msg(*pose, **more))
+    rig.until(lambda: lighting._poses.get(name) is not before, what=f"{name} is placed")
+
+
+def check(rig: Rig, frame: Frame) -> None:
+    """The next masks are those of the library: of every light, and of all together."""
+    for name in frame.names:
+        if name not in rig.masks:
+            rig.listen_to_light(name)
+    stamp = rig.send_frame(wall())
+    np.testing.assert_array_equal(rig.mask_of(stamp), frame.mask(unknown=UNKNOWN))
+    for name in frame.names:
+        np.testing.assert_array_equal(rig.mask_of(stamp, name), frame.mask(name, unknown=UNKNOWN))
+
+
+def test_topics_move_lights_which_shine_along_x(rig: Rig, tracer: ShadowTracer) -> None:
+    turned = rigid((0.0, 0.0, 0.0), ALONG_Z, "pose")
+    tilted = rigid((0.0, 0.0, 0.0), (0.1, -0.7, 0.0, HALF), "pose")
+    place(rig, "lamp", (0.4, -0.3, 0.1))
+    place(rig, "spot", (-0.3, 0.1, 0.0), ALONG_Z, frame="camera")
+    place(rig, "sky", (9.0, 9.0, 9.0), (0.1, -0.7, 0.0, HALF))
+    spot = SpotLight("spot", (-0.3, 0.1, 0.0), turned[:3, 0], 0.4)
+    np.testing.assert_allclose(turned[:3, 0], (0, 0, 1), atol=1e-15)
+    sky = DirectionalLight("sky", tilted[:3, 0])
+    check(rig, expected(tracer, PointLight("lamp", (0.4, -0.3, 0.1)), spot, sky))
+    rig.until(lambda: rig.value(TRANSFORMS, "lights placed by topics") == "lamp, spot, sky")
+    place(rig, "lamp", (-0.4, -0.3, 0.1))
+    check(rig, expected(tracer, PointLight("lamp", (-0.4, -0.3, 0.1)), spot, sky))
+
+
+def test_the_last_wish_counts(rig: Rig, tracer: ShadowTracer) -> None:
+    """Parameters take over from topics light by light, and only where they say something about the place."""
+    place(rig, "lamp", (0.4, -0.3, 0.1))
+    place(rig, "spot", (-0.3, 0.1, 0.0), ALONG_Z)
+    way = rigid((0.0, 0.0, 0.0), ALONG_Z, "pose")[:3, 0]
+    sky = DirectionalLight("sky", (0.0, 0.0, 1.0))
+    assert rig.set(lights__lamp__range=2.2, lights__spot__outer_angle=0.3) == ""
+    spot = SpotLight("spot", (-0.3, 0.1, 0.0), way, 0.3)
+    check(rig, expected(tracer, PointLight("lamp", (0.4, -0.3, 0.1), range=2.2), spot, sky))
+    assert rig.set(lights__lamp__position=[0.1, -0.6, 0.0]) == ""
+    check(rig, expected(tracer, PointLight("lamp", (0.1, -0.6, 0.0), range=2.2), spot, sky))
+    place(rig, "lamp", (0.2, 0.6, 0.0))
+    check(rig, expected(tracer, PointLight("lamp", (0.2, 0.6, 0.0), range=2.2), spot, sky))
+
+
+def test_a_bad_pose_is_refused_and_the_last_one_stays(rig: Rig, tracer: ShadowTracer) -> None:
+    place(rig, "lamp", (0.4, -0.3, 0.1))
+    before = rig.trace(wall())
+    publisher = rig.publisher(PoseStamped, "shadow_tracer/lights/lamp/pose")
+    bad = (((0, 0, 0), (0, 0, 0, 0)), ((0, math.nan, 0), (0, 0, 0, 1)), ((0, 0, 0), (1, 1, 1, 1)))
+    for number, (position, rotation) in enumerate(bad, 1):
+        publisher.publish(pose_msg(position, rotation))
+        rig.until(lambda number=str(number): rig.value(TRANSFORMS, "refused poses") == number)
+        rig.wait_status(TRANSFORMS, ERROR, "pose refused, lights/lamp/pose: pose: expected")
+    np.testing.assert_array_equal(rig.trace(wall()), before)
+
+
+def test_a_light_follows_the_frame_of_its_pose(monkeypatch: pytest.MonkeyPatch, tracer: ShadowTracer) -> None:
+    double, made = module()
+    monkeypatch.setitem(sys.modules, "tf2_ros", double)
+    parameters = {"mask.unknown_value": UNKNOWN, "fixed_frame": "map", "lights.lamp.frame": "camera", "tf_timeout": 0.0}
+    with Rig(parameters) as rig:
+        buffer: Buffer = made[0]
+        for name in ("camera", "odom"):
+            buffer.set_transform_static(transform("map", name, 0), "test")
+        for stamp, x in ((rig.stamp, 0.2), (rig.stamp + 2_000_000_000, 0.2 + 2.0)):
+            buffer.set_transform(transform("odom", "tool", stamp, (x, 0.0, 0.0)), "test")
+        rig.send_mesh(*plate())
+        for frame, x in (("tool", 0.2 + 0.033), ("odom", 0.0), ("", 0.0)):
+            place(rig, "lamp", (0.1, -0.3, 0.0), frame=frame)
+            lamp = PointLight("lamp", (0.1 + x, -0.3, 0.0))
+            np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, lamp).mask(unknown=UNKNOWN))
+        place(rig, "lamp", (0.1, -0.3, 0.0), frame="nowhere")
+        assert all_unknown(rig.trace(wall()))
+        rig.wait_status(TRANSFORMS, WARN, "'nowhere' to 'map' for header.frame_id of lights/lamp/pose")
+
+
+def test_lights_come_go_and_are_switched_live(rig: Rig, tracer: ShadowTracer) -> None:
+    lamp, sky = PointLight("lamp", (0.5, -0.5, 0.0)), DirectionalLight("sky", (0.0, 0.0, 1.0))
+    spot = SpotLight("spot", (0.5, -0.5, 0.0), (0.0, 0.0, 1.0), 0.4)
+    check(rig, expected(tracer, lamp, spot, sky))
+    assert rig.set(lights__lamp__enabled=False) == ""
+    count = len(rig.masks["lamp"])
+    frame = expected(tracer, spot, sky)
+    check(rig, frame)
+    assert len(rig.masks["lamp"]) == count  # of a light that does not shine nothing is published
+    assert rig.set(lights=["lamp", "spot", "sky", "fill"], lights__lamp__enabled=True) == ""
+    assert rig.set(lights__fill__position=[-0.5, 0.2, 0.1]) == ""
+    fill = PointLight("fill", (-0.5, 0.2, 0.1))
+    check(rig, expected(tracer, lamp, spot, sky, fill))
+    place(rig, "fill", (-0.1, 0.2, 0.1))
+    check(rig, expected(tracer, lamp, spot, sky, PointLight("fill", (-0.1, 0.2, 0.1))))
+    assert rig.set(lights=["sky"]) == ""
+    np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, sky).mask(unknown=UNKNOWN))
+    topics = ("/shadow_tracer/mask/fill", "/shadow_tracer/mask/lamp")
+    rig.until(lambda: not any(rig.friend.count_publishers(topic) for topic in topics), what="their topics go")
+    rig.until(lambda: rig.friend.count_subscribers("/shadow_tracer/lights/fill/pose") == 0)
+    assert rig.set(lights=["sky", "fill"]) == ""  # as new: the topic's pose went with the light
+    rig.masks.pop("fill")
+    check(rig, expected(tracer, sky, PointLight("fill", (0.5, -0.5, 0.0))))
+
+
+NOON = "2026-06-21T12:00:00Z"
+PLACE = {"lights.lamp.type": "sun", "lights.lamp.sun.latitude": 48.0, "lights.lamp.sun.longitude": 11.5}
+# East, north, up as seen by the camera (right, down, forward) of these tests: it looks down, right is east.
+EAST_NORTH_UP = {"pose_source": "parameter", "fixed_frame": "map", "camera_pose": [0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]}
+
+
+def ns(text: str) -> int:
+    when = datetime.fromisoformat(text.replace("Z", "+00:00"))
+    return int((when - datetime(1970, 1, 1, tzinfo=timezone.utc)).total_seconds()) * 1_000_000_000
+
+
+def below(height: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
+    """A level plate in the map, at a height."""
+    vertices, triangles = plate(distance=height)
+    return vertices, triangles
+
+
+def test_the_sun_at_a_given_time_and_at_the_stamp_of_the_image() -> None:
+    ephem = pytest.importorskip("ephem")
+    tracer = library()
+    tracer.scene.put("mesh", *below())
+    pose = rigid((0.0, 0.0, 5.0), (1.0, 0.0, 0.0, 0.0), "camera_pose")
+
+    def mask(text: str) -> np.ndarray:
+        """The sun of the library behind the node, asked directly."""
+        observer = ephem.Observer()
+        observer.lat, observer.lon = "48", "11.5"
+        observer.elevation, observer.pressure, observer.temp = 0.0, 1010.0, 15.0
+        observer.date = ephem.Date(text.replace("T", " ").rstrip("Z").replace("-", "/"))
+        seen = ephem.Sun(observer)
+        level = math.cos(seen.alt)
+        way = (-level * math.sin(seen.az), -level * math.cos(seen.az), -math.sin(seen.alt))
+        return tracer.trace(wall(), camera(pose), [DirectionalLight("lamp", way)], bias=BIAS).mask(unknown=UNKNOWN)
+
+    parameters = {"mask.unknown_value": UNKNOWN, **EAST_NORTH_UP, **PLACE, "lights.lamp.sun.time": NOON}
+    with Rig(parameters) as rig:
+        rig.send_mesh(*below())
+        noon = rig.trace(wall())
+        np.testing.assert_array_equal(noon, mask(NOON))
+        # At noon the shadow lies north of the plate: up in the image of a camera that looks down.
+        rows = np.flatnonzero((noon == 0).any(axis=1))
+        assert len(rows) and rows.mean() < (HEIGHT - 1) / 2
+        assert rig.set(lights__lamp__sun__time="") == ""
+        for text in ("2026-06-21T08:00:00Z", "2026-06-21T10:30:00Z", NOON):
+            np.testing.assert_array_equal(rig.trace(wall(), stamp=ns(text)), mask(text))
+        morning = rig.trace(wall(), stamp=ns("2026-06-22T08:00:00Z"))
+        assert np.flatnonzero((morning == 0).any(axis=0)).mean() < (WIDTH - 1) / 2  # the sun in the east, shadow west
+        assert not np.array_equal(morning, noon)
+        assert rig.set(lights__lamp__sun__latitude=-48.0) == ""
+        south = rig.trace(wall(), stamp=ns("2026-12-21T12:00:00Z"))
+        assert np.flatnonzero((south == 0).any(axis=1)).mean() > (HEIGHT - 1) / 2
+        assert rig.friend.count_subscribers("/shadow_tracer/lights/lamp/pose") == 0  # nobody moves the sun
+
+
+def test_at_night_it_is_dark_which_is_not_unknown() -> None:
+    pytest.importorskip("ephem")
+    parameters = {**THREE, **EAST_NORTH_UP, **PLACE, "lights": ["lamp"], "mask.publish": "always"}
+    with Rig(parameters) as rig:
+        bits = rig.collect(Image, "shadow_tracer/light_bits")
+        rig.listen_to_light("lamp")
+        stamp = rig.send_frame(wall(), stamp=ns("2026-06-21T23:30:00Z"))
+        dark = rig.mask_of(stamp)
+        assert dark[0, 0] == UNKNOWN and (dark.ravel()[1:] == 0).all()
+        np.testing.assert_array_equal(rig.mask_of(stamp, "lamp"), dark)
+        rig.until(lambda: bits)
+        assert not any(bits[-1].data)
+        timing = rig.until(lambda: rig.timings and rig.timings[-1])
+        assert timing.status[0].level == OK
+        rig.wait_status(PROCESSING, OK)
+        # With another light beside it the sun is 0 everywhere, and the mask of all is that of the other.
+        assert rig.set(lights=["lamp", "sky"]) == ""
+        assert rig.set(lights__sky__type="directional", lights__sky__direction=[0, 0, -1]) == ""
+        rig.listen_to_light("sky")
+        stamp = rig.send_frame(wall(), stamp=ns("2026-06-21T23:31:00Z"))
+        assert (rig.mask_of(stamp, "sky").ravel()[1:] == 255).all()
+        np.testing.assert_array_equal(rig.mask_of(stamp, "lamp"), dark)
+        np.testing.assert_array_equal(rig.mask_of(stamp), rig.mask_of(stamp, "sky"))
+        rig.until(lambda: len(bits) > 1)
+        pixels = np.frombuffer(bits[-1].data, np.uint8)
+        assert pixels[0] == 0 and (pixels[1:] == 2).all()
+
+
+def test_a_light_that_becomes_the_sun_leaves_the_pose_of_its_topic() -> None:
+    pytest.importorskip("ephem")
+    with Rig({**THREE, **EAST_NORTH_UP, "lights": ["lamp"]}) as rig:
+        rig.send_mesh(*below())
+        place(rig, "lamp", (0.1, 0.2, 3.0), frame="elsewhere")
+        assert all_unknown(rig.trace(wall()))
+        assert rig.set(**{name.replace(".", "__"): value for name, value in PLACE.items()}) == ""
+        assert rig.set(lights__lamp__sun__time=NOON) == ""
+        assert shadow_size(rig.trace(wall()))
+
+
+def test_a_sun_that_cannot_be_computed_is_unknown_and_says_what_helps(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Rig({**THREE, **EAST_NORTH_UP, **PLACE, "lights": ["lamp"]}) as rig:
+        monkeypatch.setitem(sys.modules, "ephem", None)
+        assert all_unknown(rig.trace(wall(), stamp=ns(NOON)))
+        rig.wait_status(PROCESSING, ERROR, "lights.lamp: the position of the sun needs ephem: pip install")
+        monkeypatch.undo()
+        pytest.importorskip("ephem")
+        assert not all_unknown(rig.trace(wall(), stamp=ns(NOON) + 1))
+
+
+def bits_of(msg: Image) -> np.ndarray:
+    kind = {"mono8": np.uint8, "16UC1": np.uint16}[msg.encoding]
+    assert not msg.is_bigendian and msg.step == msg.width * np.dtype(kind).itemsize
+    return np.frombuffer(msg.data, kind).reshape(msg.height, msg.width)
+
+
+@pytest.mark.parametrize("count", [3, 8, 9, 16])
+def test_light_bits_follow_the_parameter_lights(tracer: ShadowTracer, count: int) -> None:
+    """Bit i is light i of the parameter, whichever are disabled; more than 8 lights need 16 bits."""
+    names = [f"l{k}" for k in range(count)]
+    positions = [(0.5 - 0.1 * k, -0.5 + 0.05 * k, 0.0) for k in range(count)]
+    parameters: dict[str, Any] = {"lights": names}
+    parameters |= {f"lights.{name}.position": list(where) for name, where in zip(names, positions, strict=True)}
+    parameters |= {f"lights.{name}.enabled": k != 1 for k, name in enumerate(names)}
+    with Rig(parameters) as rig:
+        messages = rig.collect(Image, "shadow_tracer/light_bits")
+        rig.send_mesh(*plate())
+        stamp = rig.send_frame(wall())
+        msg = rig.until(lambda: next((m for m in messages if nanoseconds(m.header.stamp) == stamp), None))
+        assert msg.encoding == ("mono8" if count <= 8 else "16UC1")
+        bits = bits_of(msg)
+        shining = [k for k in range(count) if k != 1]
+        frame = expected(tracer, *(PointLight(names[k], positions[k]) for k in shining))
+        for k in range(count):
+            reached = frame.mask(names[k]) == 255 if k in shining else np.zeros(bits.shape, bool)
+            np.testing.assert_array_equal((bits >> k & 1).astype(bool), reached)
+        assert not (bits >> count).any()
+
+
+def test_more_lights_than_bits_have_masks_but_no_bits(tracer: ShadowTracer) -> None:
+    names = [f"l{k}" for k in range(17)]
+    with Rig({"lights": names, "bounds.max_lights": 17, "mask.publish": "always"}) as rig:
+        messages = rig.collect(Image, "shadow_tracer/light_bits")
+        rig.send_mesh(*plate())
+        frame = library_of(17).trace(wall(), camera(), [PointLight(n, (0.5, -0.5, 0.0)) for n in names], bias=BIAS)
+        np.testing.assert_array_equal(rig.trace(wall()), frame.mask())
+        rig.wait_status(PROCESSING, WARN, "light_bits has 16 bits and is not published for 17 lights")
+        assert not messages
+
+
+def library_of(lights: int) -> ShadowTracer:
+    """A tracer for so many lights."""
+    from shadow_tracer import Bounds
+
+    made = ShadowTracer(device="cpu", bounds=Bounds(4096, 128 * 96, lights, 16384))
+    made.scene.put("mesh", *plate())
+    return made
+
+
+def test_masks_are_made_for_listeners_or_always() -> None:
+    with Rig(THREE) as rig:
+        sent: list[str] = []
+        outputs = rig.core.outputs
+        for publisher in (outputs.mask, outputs.bits, outputs.overlay, *outputs.lights.values()):
+            publish = publisher.publish
+            name = publisher.topic_name.removeprefix("/shadow_tracer/")
+            publisher.publish = lambda msg, name=name, publish=publish: (sent.append(name), publish(msg))
+        rig.trace(wall())
+        assert sent == ["mask"]  # somebody listens to this one
+        sent.clear()
+        assert rig.set(mask__publish="always") == ""
+        rig.trace(wall())
+        assert sorted(sent) == ["light_bits", "mask", "mask/lamp", "mask/sky", "mask/spot"]
+        assert rig.set(mask__publish="listened") == ""
+        rig.listen_to_light("spot")
+        sent.clear()
+        stamp = rig.send_frame(wall())
+        rig.mask_of(stamp, "spot")
+        rig.mask_of(stamp)
+        assert sorted(sent) == ["mask", "mask/spot"]
