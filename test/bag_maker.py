@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes small bags with rosbags alone: depth images, camera_info, transforms, poses, meshes. Times in ns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+STILL = (0.0, 0.0, 0.0, 1.0)
+
+
+def make(kind: str, **fields: Any) -> Any:
+    """A message of a type such as ``std_msgs/Header``."""
+    return TYPES.types[kind.replace("/", "/msg/")](**fields)
+
+
+def header(stamp: int, frame: str) -> Any:
+    """A header."""
+    time = make("builtin_interfaces/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return make("std_msgs/Header", stamp=time, frame_id=frame)
+
+
+def image(depth: np.ndarray, stamp: int, frame: str = "camera") -> Any:
+    """A depth image of float32 metres or uint16 millimetres."""
+    return make(
+        "sensor_msgs/Image",
+        header=header(stamp, frame),
+        height=depth.shape[0],
+        width=depth.shape[1],
+        encoding={"float32": "32FC1", "uint16": "16UC1"}[depth.dtype.name],
+        is_bigendian=0,
+        step=depth.shape[1] * depth.itemsize,
+        data=np.ascontiguousarray(depth).reshape(-1).view(np.uint8),
+    )
+
+
+def info(width: int, height: int, stamp: int, focal: float, frame: str = "camera") -> Any:
+    """The camera_info of an ideal camera."""
+    cx, cy = (width - 1) / 2, (height - 1) / 2
+    return make(
+        "sensor_msgs/CameraInfo",
+        header=header(stamp, frame),
+        height=height,
+        width=width,
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=np.array([focal, 0, cx, 0, focal, cy, 0, 0, 1.0]),
+        r=np.eye(3).reshape(-1),
+        p=np.array([focal, 0, cx, 0, 0, focal, cy, 0, 0, 0, 1.0, 0]),
+        binning_x=0,
+        binning_y=0,
+        roi=make("sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    )
+
+
+def pose(stamp: int, frame: str, position: Sequence[float], quaternion: Sequence[float] = STILL) -> Any:
+    """A PoseStamped."""
+    point = make("geometry_msgs/Point", **dict(zip("xyz", map(float, position), strict=True)))
+    turn = make("geometry_msgs/Quaternion", **dict(zip("xyzw", map(float, quaternion), strict=True)))
+    return make(
+        "geometry_msgs/PoseStamped",
+        header=header(stamp, frame),
+        pose=make("geometry_msgs/Pose", position=point, orientation=turn),
+    )
+
+
+def transform(
+    parent: str, child: str, stamp: int, position: Sequence[float], quaternion: Sequence[float] = STILL
+) -> Any:
+    """A TFMessage with one transform."""
+    shift = make("geometry_msgs/Vector3", **dict(zip("xyz", map(float, position), strict=True)))
+    turn = make("geometry_msgs/Quaternion", **dict(zip("xyzw", map(float, quaternion), strict=True)))
+    stamped = make(
+        "geometry_msgs/TransformStamped",
+        header=header(stamp, parent),
+        child_frame_id=child,
+        transform=make("geometry_msgs/Transform", translation=shift, rotation=turn),
+    )
+    return make("tf2_msgs/TFMessage", transforms=[stamped])
+
+
+def cloud(points: np.ndarray, stamp: int, frame: str) -> Any:
+    """A PointCloud2 of (N, 3) points, float32."""
+    field = [make("sensor_msgs/PointField", name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate("xyz")]
+    data = np.ascontiguousarray(points, np.float32).reshape(-1).view(np.uint8)
+    return make(
+        "sensor_msgs/PointCloud2",
+        header=header(stamp, frame),
+        height=1,
+        width=len(points),
+        fields=field,
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * len(points),
+        data=data,
+        is_dense=True,
+    )
+
+
+class BagMaker:
+    """Messages in the order of the log, a millisecond each."""
+
+    def __init__(self) -> None:
+        self._log: list[tuple[str, str, int, bytes]] = []
+        self.now = 10**12
+
+    def add(self, topic: str, message: Any) -> None:
+        """Append a message."""
+        self.raw(topic, message.__msgtype__, bytes(TYPES.serialize_cdr(message, message.__msgtype__)))
+
+    def raw(self, topic: str, kind: str, data: bytes) -> None:
+        """Append any bytes as a message."""
+        self.now += 1_000_000
+        self._log.append((topic, kind, self.now, data))
+
+    def write(self, path: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+        """Write a bag into a new folder; returns it."""
+        with Writer(path, version=9, storage_plugin=storage) as writer:
+            connections: dict[str, Any] = {}
+            for topic, kind, time, data in self._log:
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=TYPES)
+                writer.write(connections[topic], time, data)
+        return path
+
+
+def read(path: Path) -> dict[str, list[Any]]:
+    """All messages of a bag by topic."""
+    found: dict[str, list[Any]] = {}
+    with AnyReader([path]) as reader:
+        for connection, _, data in reader.messages():
+            found.setdefault(connection.topic, []).append(reader.deserialize(data, connection.msgtype))
+    return found
+
+
+def pixels(message: Any) -> np.ndarray:
+    """(H, W) or (H, W, 3) of a mono8, 16UC1 or rgb8 image."""
+    kind, channels = {"mono8": (np.uint8, 1), "16UC1": (np.uint16, 1), "rgb8": (np.uint8, 3)}[message.encoding]
+    shape = (message.height, message.width) + ((channels,) if channels > 1 else ())
+    return message.data.view(kind).reshape(shape)
