@@ -123,8 +123,9 @@ def test_a_blind_pipeline_is_found_out(any_device: str, names: str, wrong: str) 
     )
     assert shadows > 100
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
-    employed: Any = getattr(tracer._engine, f"_{wrong}")
-    employed.pipeline.trace = lambda work: None
+    engine_: Any = tracer._engine
+    pipeline = engine_._pipeline if wrong == "first" else engine_._second.pipeline
+    pipeline.trace = lambda work: None
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == shadows
 

@@ -43,12 +43,11 @@ class Traced:
 
 
 @dataclass
-class _Employed:
-    """A pipeline, its name and variant, and the worst that has happened to the scene since it last took note."""
+class _Second:
+    """The pipeline that is not in use, and the names of the second one."""
 
     names: tuple[str, str]
     pipeline: Pipeline
-    news: Change = Change.TOPOLOGY
 
 
 class Engine:
@@ -64,14 +63,12 @@ class Engine:
         self._scene = SceneBuffers(bounds, device)
         self._context = Context(self._frame, self._scene, TriangleRecords(self._frame, self._scene), self.stages)
         self._anchor: Anchor | None = None
-        self._first: _Employed
-        self._second: _Employed | None = None
+        self._pipeline: Pipeline
+        self._second: _Second | None = None
         self._seconding = False
+        # The worst that has happened to the scene since the first, and the second, pipeline took note.
+        self._news = [Change.TOPOLOGY, Change.TOPOLOGY]
         self.select(pipeline, variant)
-
-    @property
-    def _pipeline(self) -> Pipeline:
-        return self._second.pipeline if self._seconding and self._second is not None else self._first.pipeline
 
     def select(self, pipeline: str, variant: str) -> None:
         """Use another pipeline from the next frame on; the old one's buffers are freed, and the second pipeline's if it
@@ -80,7 +77,8 @@ class Engine:
             self.release_second()
         self._graphs.clear()
         self._context.records.forget()
-        self._first = _Employed((pipeline, variant), make_pipeline(pipeline, variant, self._context))
+        self._pipeline = make_pipeline(pipeline, variant, self._context)
+        self._news[0] = Change.TOPOLOGY
 
     @property
     def second(self) -> str | None:
@@ -92,7 +90,8 @@ class Engine:
         was there before is freed unless it is the same."""
         if self._second is None or self._second.names != (pipeline, variant):
             self.release_second()
-            self._second = _Employed((pipeline, variant), make_pipeline(pipeline, variant, self._context))
+            self._second = _Second((pipeline, variant), make_pipeline(pipeline, variant, self._context))
+            self._news[1] = Change.TOPOLOGY
 
     def release_second(self) -> None:
         """Free the second pipeline's buffers, if there are any."""
@@ -101,14 +100,15 @@ class Engine:
     @contextmanager
     def second_opinion(self) -> Iterator[None]:
         """Frames inside are traced by the second pipeline, kernel by kernel, with triangle records made anew."""
-        assert self._second is not None
+        second = self._second
+        assert second is not None and not self._seconding
         # Pipelines keep more of a light than its records (corners), and tell by the records whether they have it.
         self._context.records.forget()
-        self._seconding = True
+        self._pipeline, second.pipeline, self._seconding = second.pipeline, self._pipeline, True
         try:
             yield
         finally:
-            self._seconding = False
+            self._pipeline, second.pipeline, self._seconding = second.pipeline, self._pipeline, False
             self._context.records.forget()
 
     @property
@@ -123,7 +123,7 @@ class Engine:
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         second = self._second.pipeline.nbytes() if self._second is not None else 0
-        return self._frame.nbytes() + self._scene.nbytes() + self._first.pipeline.nbytes() + second
+        return self._frame.nbytes() + self._scene.nbytes() + self._pipeline.nbytes() + second
 
     def holds(self, depth: np.ndarray) -> bool:
         """Whether ``depth`` is, bit for bit, the depth image last traced in its format. Waits for the device."""
@@ -179,14 +179,11 @@ class Engine:
 
     def _sync(self, scene: Scene) -> None:
         change = self._scene.sync(scene)
-        for employed in (self._first, self._second):
-            if employed is not None:
-                employed.news = max(employed.news, change)
+        self._news = [max(before, change) for before in self._news]
 
     def _take_note(self) -> None:
-        employed = self._second if self._seconding and self._second is not None else self._first
-        employed.pipeline.update(employed.news)
-        employed.news = Change.NOTHING
+        self._pipeline.update(self._news[self._seconding])
+        self._news[self._seconding] = Change.NOTHING
 
     def _trace_all(self, lights: Sequence[Light], depth: wp.array | None) -> Traced:
         if not soft.is_soft(lights):

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from shadow_tracer.ros import diagnostics
 from shadow_tracer.ros.answer import Answer
 from shadow_tracer.ros.frames import Frames, Tf2
-from shadow_tracer.ros.health import Health
+from shadow_tracer.ros.health import DeviceState, Health
 from shadow_tracer.ros.inputs import Inputs
 from shadow_tracer.ros.outputs import Outputs
 from shadow_tracer.ros.parameter_server import ParameterServer
@@ -108,6 +108,7 @@ class Core:
     def release(self) -> None:
         """Free the tracer and forget the meshes."""
         self.host.release()
+        self.health.device = DeviceState()
         self.inputs.meshes.clear(self.now_ns())
 
     def close(self, timeout: float) -> bool:
@@ -154,7 +155,8 @@ class Core:
             self.outputs.configure(new)
             self.inputs.configure(new)
             self.inputs.lighting.configure(old, new)
-            self.frames.configure(new)
+            if self.inputs.subscriptions:  # else the node is not active and listens to nothing, not to tf either
+                self.frames.configure(new)
             if (old.mesh_files, old.mesh_files_scale) != (new.mesh_files, new.mesh_files_scale):
                 self.inputs.meshes.load_files(new, self.now_ns())
             if (old.pipeline, old.variant) != (new.pipeline, new.variant):

@@ -75,6 +75,8 @@ class Health:
     _missing: Missing | None = None
     _warning: str = ""
     _dropped: int = 0
+    _lost_images: int = 0
+    _lost: Complaint = field(default_factory=Complaint)
     _busy: Window = field(default_factory=Window)
     _total: Window = field(default_factory=Window)
     _latency: Window = field(default_factory=Window)
@@ -175,6 +177,9 @@ class Health:
     def _judge_processing(self, settings: Settings, doing: Doing, now: float) -> Verdict:
         queue, queries, processor = self.inputs.queue, self.queries, self.processor
         dropped, self._dropped = queue.dropped - self._dropped, queue.dropped
+        if dropped and settings.process == "every":
+            self._lost_images += dropped
+            self._lost.add(f"{self._lost_images} images were dropped although process is every", now)
         values = {
             "traced": self.traced,
             "unknown": self.unknown,
@@ -206,14 +211,14 @@ class Health:
             return WARN, f"the last mask says unknown, see {self._missing.status!r}: {self._missing.text}", values
         if queries.missing is not None:
             return WARN, f"the last query has no answer, see {queries.missing.status!r}: {queries.missing.text}", values
-        warning = self._doubts(settings, dropped, now)
+        warning = self._doubts(settings, now)
         if warning:
             return WARN, warning, values
         if self.traced == 0:
             return OK, "ready, no frame yet", values
         return OK, f"{self.traced} frames traced", values
 
-    def _doubts(self, settings: Settings, dropped: int, now: float) -> str:
+    def _doubts(self, settings: Settings, now: float) -> str:
         """What works, but not as it should; "" if everything does."""
         queries = self.queries
         if queries.refused.recent(now):
@@ -223,10 +228,10 @@ class Health:
                 "a depth image shows fronts only, and front_face_culling lets light through fronts: set one of "
                 "front_face_culling and occluders back"
             )
-        if settings.process == "every" and dropped:
+        if settings.process == "every" and self._lost.recent(now):
             return (
-                f"{dropped} images were dropped although process is every: they come faster than they can be answered; "
-                "play the bag with a lower --rate, or use `shadow_tracer bag`"
+                f"{self._lost.text}: they come faster than they can be answered; play the bag with a lower --rate, or "
+                "use `shadow_tracer bag`"
             )
         if self._overflow.recent(now):
             return (

@@ -51,14 +51,14 @@ class Outputs:
         for name in answer.enabled:
             if name in self.lights and (always or _wanted(self.lights[name])):
                 images.append((self.lights[name], answer.mask(name), "mono8"))
-        shown = answer.optics is not None and _wanted(self.overlay)
+        shown = _wanted(self.overlay)
         mask = answer.mask() if always or shown or _wanted(self.mask) else None
         if mask is not None and (always or _wanted(self.mask)):
             images.append((self.mask, mask, "mono8"))
         if len(answer.names) <= MOST_BITS and (always or _wanted(self.bits)):
             bits = answer.bits()
             images.append((self.bits, bits, "mono8" if bits.dtype == np.uint8 else "16UC1"))
-        if shown and mask is not None:
+        if shown:
             images.append((self.overlay, _overlay(answer, mask), "rgb8"))
         made = time.perf_counter()
         for publisher, pixels, encoding in images:
@@ -80,6 +80,8 @@ def _wanted(publisher: Publisher) -> bool:
 
 
 def _overlay(answer: Answer, mask: Any) -> Any:
-    optics = answer.optics
-    assert optics is not None
-    return overlay(answer.frame.depth, mask, optics.fx, optics.fy, optics.cx, optics.cy)
+    depth, optics = answer.frame.depth, answer.optics
+    if optics is None:  # nothing is known, which is shown, too; for the relief a guess will do
+        height, width = depth.shape
+        return overlay(depth, None, width, width, (width - 1) / 2, (height - 1) / 2)
+    return overlay(depth, mask, optics.fx, optics.fy, optics.cx, optics.cy)

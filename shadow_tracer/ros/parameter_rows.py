@@ -81,12 +81,13 @@ def convert(name: str, row: Parameter, value: Any) -> Any:
         elif good and row.pattern:
             good = row.pattern.fullmatch(value) is not None
     elif row.type == STRINGS:
-        value = _sequence(value)
-        good = value is not None and all(isinstance(item, str) for item in value)
+        items = _sequence(value)
+        good = items is not None and all(isinstance(item, str) for item in items)
+        value = value if items is None else items
     elif row.type == DOUBLES:
-        value = _sequence(value)
-        good = value is not None and len(value) == row.length and all(_is_number(item) for item in value)
-        value = tuple(float(item) for item in value) if good else value
+        items = _sequence(value)
+        good = items is not None and len(items) == row.length and all(_is_number(item) for item in items)
+        value = value if items is None else tuple(float(item) for item in items) if good else items
     else:
         good = _is_number(value) if row.type == DOUBLE else _is_integer(value)
         good = good and (row.low is None or row.high is None or row.low <= value <= row.high)

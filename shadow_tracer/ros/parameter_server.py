@@ -76,7 +76,8 @@ class ParameterServer:
         return table.unknown_names(self._overrides, known, [light.name for light in self.settings.lights])
 
     def refusal(self, parameters: Sequence[Parameter]) -> str:
-        """Why these cannot be set whatever their values, "" if they can: read-only or unknown names."""
+        """Why these cannot be set whatever the others are, "" if they can: unknown, read-only, or not of its row (where
+        rclpy would say only what type it expected, not of which parameter)."""
         for parameter in parameters:
             row = table.row_of(parameter.name)
             if not self._node.has_parameter(parameter.name):
@@ -85,6 +86,11 @@ class ParameterServer:
                 return "; ".join(table.unknown_names([parameter.name], known, lights))
             if row is not None and row.read_only:
                 return f"{parameter.name} is read-only: {row.read_only}"
+            try:
+                if row is not None:
+                    table.convert(parameter.name, row, parameter.value)
+            except table.ParameterError as error:
+                return str(error)
         return ""
 
     def _values(self) -> dict[str, Any]:

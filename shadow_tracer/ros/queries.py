@@ -121,7 +121,9 @@ class Queries:
         header = query.message.header
         stamp = stamp_ns(header.stamp)
         check_age(self._meshes, settings, now_ns)
-        poses = self._frames.at(settings, camera_frame or header.frame_id, stamp, last_chance)
+        if not camera_frame and settings.pose_source == "tf" and not settings.fixed_frame:
+            camera_frame = header.frame_id  # no image has come: the world is where the query is
+        poses = self._frames.at(settings, camera_frame, stamp, last_chance)
         to_world = poses.frame_to_world(header.frame_id, "header.frame_id of query")
         lit = self._lighting.at(settings, poses, stamp)
         forget_surface(tracer.scene, settings)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from diagnostic_msgs.srv import SelfTest
+from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
 
 from shadow_tracer.ros.diagnostics import ERROR, OK
@@ -34,7 +35,9 @@ class Services:
     def __init__(self, core: Core) -> None:
         self._core = core
         core.node.create_service(Trigger, "~/clear_meshes", self._clear_meshes)
-        core.node.create_service(SelfTest, "~/self_test", self._self_test)
+        # In a group of its own: a coroutine that waits keeps everything else of its group from being executed.
+        group = ReentrantCallbackGroup()
+        core.node.create_service(SelfTest, "~/self_test", self._self_test, callback_group=group)
 
     def _clear_meshes(self, _request: Any, response: Any) -> Any:
         try:

@@ -157,8 +157,11 @@ class TracerHost:
         return self._tracer
 
     def _submit(self, job: _Job) -> None:
-        # The last wish for a pipeline counts; every self-test gets its answer.
-        if job.name != "self-test":
+        # The last wish for a pipeline counts; every self-test gets its answer. A start has the settings of now, and what
+        # was wished before there was a tracer is in them.
+        if job.name == "start":
+            self._waiting.clear()
+        elif job.name != "self-test":
             self._waiting = [other for other in self._waiting if other.name != job.name]
         self._waiting.append(job)
         if not self.busy and (self._tracer is not None or job.name == "start"):

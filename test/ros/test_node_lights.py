@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from harness import HEIGHT, WIDTH, Rig, nanoseconds, plate, wall
+from harness import FOCAL, HEIGHT, WIDTH, Rig, nanoseconds, plate, wall
 from node_world import BIAS, UNKNOWN, all_unknown, camera, library, pose_msg, shadow_size
 from sensor_msgs.msg import Image
 from tf_double import Buffer, module, transform
 
-from shadow_tracer import DirectionalLight, Frame, PointLight, ShadowTracer, SpotLight
+from shadow_tracer import DirectionalLight, Frame, PointLight, ShadowTracer, SphereLight, SpotLight
 from shadow_tracer.ros.diagnostics import ERROR, OK, PROCESSING, TRANSFORMS, WARN
 from shadow_tracer.ros.messages import rigid
+from shadow_tracer.ros.overlay import overlay
 
 HALF = math.sqrt(0.5)
 ALONG_Z = (0.0, -HALF, 0.0, HALF)  # a rotation that turns +x to +z
@@ -238,6 +239,26 @@ def test_at_night_it_is_dark_which_is_not_unknown() -> None:
         assert pixels[0] == 0 and (pixels[1:] == 2).all()
 
 
+def test_a_sphere_casts_soft_shadows(tracer: ShadowTracer) -> None:
+    parameters = {"mask.unknown_value": UNKNOWN, "lights.lamp.type": "sphere", "lights.lamp.radius": 0.2}
+    with Rig(parameters) as rig:
+        bits = rig.collect(Image, "shadow_tracer/light_bits")
+        rig.send_mesh(*plate())
+        for radius, reach in ((0.2, 0.0), (0.05, 2.2)):
+            assert rig.set(lights__lamp__radius=radius, lights__lamp__range=reach) == ""
+            frame = expected(tracer, SphereLight("lamp", (0.5, -0.5, 0.0), radius, range=reach or math.inf))
+            stamp = rig.send_frame(wall())
+            mask = rig.mask_of(stamp)
+            np.testing.assert_array_equal(mask, frame.mask(unknown=UNKNOWN))
+            assert {0, 255} < set(mask.ravel().tolist()) - {UNKNOWN} and np.isin(mask, range(1, 255)).sum() > 20
+            msg = rig.until(lambda: next((m for m in bits if nanoseconds(m.header.stamp) == stamp), None))  # noqa: B023
+            np.testing.assert_array_equal(bits_of(msg), frame.bits())
+            assert ((bits_of(msg) == 1) & (mask < 255) & (mask > 0)).any()  # some of it reaches
+        place(rig, "lamp", (-0.4, 0.3, 0.1))
+        sphere = SphereLight("lamp", (-0.4, 0.3, 0.1), 0.05, range=2.2)
+        np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, sphere).mask(unknown=UNKNOWN))
+
+
 def test_a_light_that_becomes_the_sun_leaves_the_pose_of_its_topic() -> None:
     pytest.importorskip("ephem")
     with Rig({**THREE, **EAST_NORTH_UP, "lights": ["lamp"]}) as rig:
@@ -329,3 +350,21 @@ def test_masks_are_made_for_listeners_or_always() -> None:
         rig.mask_of(stamp, "spot")
         rig.mask_of(stamp)
         assert sorted(sent) == ["mask", "mask/spot"]
+
+
+def test_the_overlay_shows_what_is_known(rig: Rig) -> None:
+    images = rig.collect(Image, "shadow_tracer/overlay")
+
+    def shown(**how: Any) -> np.ndarray:
+        stamp = rig.send_frame(wall(), **how)
+        msg = rig.until(lambda: next((m for m in images if nanoseconds(m.header.stamp) == stamp), None))
+        assert (msg.encoding, msg.step, msg.header.frame_id) == ("rgb8", 3 * WIDTH, "camera")
+        return np.frombuffer(msg.data, np.uint8).reshape(HEIGHT, WIDTH, 3)
+
+    assert rig.set(lights=["lamp"]) == ""
+    centre = (WIDTH - 1) / 2, (HEIGHT - 1) / 2
+    first = shown()
+    np.testing.assert_array_equal(first, overlay(wall(), rig.trace(wall()), FOCAL, FOCAL, *centre))
+    unknown = shown(info=False)  # it does not stand still: nobody may take the last picture for the present
+    np.testing.assert_array_equal(unknown, overlay(wall(), None, WIDTH, WIDTH, *centre))
+    assert not np.array_equal(first, unknown)

@@ -5,48 +5,136 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from harness import Rig, plate, wall
+from harness import FOCAL, SMALL, Rig, plate, wall
 from rclpy.parameter import Parameter
+from shape_msgs.msg import Mesh
+from test_parameters import BAD
 
 from shadow_tracer import available_pipelines
-from shadow_tracer.ros.diagnostics import DEVICE, OK, PROCESSING
-from shadow_tracer.ros.parameters import LIGHT_PARAMETERS, PARAMETERS, ParameterError, names_for
+from shadow_tracer.ros.cdr import encode_mesh
+from shadow_tracer.ros.core import StartupError
+from shadow_tracer.ros.diagnostics import DEVICE, ERROR, MESH, OK, PROCESSING, WARN
+from shadow_tracer.ros.parameters import LIGHT_PARAMETERS, PARAMETERS, ParameterError, default_of, names_for, row_of
+
+STANDARD = {"pose_source": "parameter", "tf_timeout": 0.0}
 
 
-@pytest.fixture
-def rig() -> Iterator[Rig]:
-    with Rig({"pose_source": "parameter", "tf_timeout": 1.0}) as made:
-        made.send_mesh(*plate())
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Rig]:
+    with Rig(STANDARD) as made:
         yield made
 
 
-CHANGES: list[dict[str, Any]] = [
-    {"camera_pose": [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]},
-    {"camera_pose": [1, 0, 0, 0, 0, 0, 1]},
-    {"bias__constant": 1.5},
-    {"bias__constant": 2},
-    {"bias__quadratic": 0.5},
-    {"mask__unknown_value": 99},
-    {"lights__lamp__position": [0.2, 0.3, 0.0]},
-    {"lights__lamp__type": "directional", "lights__lamp__direction": [0.0, 0.2, 1.0]},
-    {"lights__lamp__type": "spot"},
-    {"lights__lamp__type": "spot", "lights__lamp__outer_angle": 0.2},
-    {"lights__lamp__type": "spot", "lights__lamp__direction": [-0.3, 0.0, 1.0]},
-    {"lights__lamp__range": 2.1},
-    {"lights__lamp__enabled": False, "mask__unknown_value": 3},
-    {"lights": ["other", "lamp"], "mask__unknown_value": 5},
+@pytest.fixture
+def rig(shared: Rig) -> Rig:
+    """One node for many tests, with the same parameters and mesh at the start of each."""
+    assert shared.set(lights=["lamp"]) == ""
+    start = {**SMALL, **STANDARD}
+    names = [name for name in names_for(["lamp"]) if not (row := row_of(name)) or not row.read_only]
+    assert shared.set(**{name.replace(".", "__"): start.get(name, default_of(name)) for name in names}) == ""
+    shared.until(lambda: shared.node and shared.node.ready)
+    shared.send_part("mesh", Mesh, encode_mesh(*plate()))
+    shared.connected()
+    return shared
+
+
+DOWN = {"fixed_frame": "map", "camera_pose": [0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]}  # z of the map is up, x to the right
+SUN = {**DOWN, "lights.lamp.type": "sun", "lights.lamp.sun.time": "2026-06-21T12:00:00Z"}
+SPHERE = {"lights.lamp.type": "sphere"}
+SPOT = {"lights.lamp.type": "spot"}
+DEPTH = {"occluders": "depth", "bias.constant": 0.01}
+PLAIN: dict[str, Any] = {}
+
+# name, its new value, and what else is set before: the mask is another one afterwards.
+CHANGES: list[tuple[str, Any, dict[str, Any]]] = [
+    ("fixed_frame", "map", {"mesh.frame": "map"}),
+    ("pose_source", "topic", PLAIN),
+    ("camera_pose", [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], PLAIN),
+    ("camera_pose", [1, 0, 0, 0, 0, 0, 1], PLAIN),
+    ("mesh.frame", "camera", {"camera_pose": [0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}),
+    ("mesh.max_age", 1e-6, {"mask.unknown_value": 9}),
+    ("mesh.files", ["{plate}"], PLAIN),
+    ("mesh.files_scale", 0.5, {"mesh.files": ["{plate}"]}),
+    ("occluders", "depth", PLAIN),
+    ("occluders", "mesh+depth", PLAIN),
+    ("depth_occluder.step", 4, DEPTH),
+    ("depth_occluder.max_jump", 1.0, DEPTH),
+    ("lights", ["other", "lamp"], {"lights.lamp.position": [-0.5, 0.5, 0.0]}),
+    ("lights", [""], {"mask.unknown_value": 5}),
+    ("bias.constant", 1.5, PLAIN),
+    ("bias.constant", 2, PLAIN),
+    ("bias.quadratic", 0.5, PLAIN),
+    ("mask.unknown_value", 99, PLAIN),
+    ("lights.lamp.type", "directional", PLAIN),
+    ("lights.lamp.type", "spot", PLAIN),
+    ("lights.lamp.type", "sphere", PLAIN),
+    ("lights.lamp.type", "sun", SUN | {"lights.lamp.type": "point"}),
+    ("lights.lamp.enabled", False, {"mask.unknown_value": 3}),
+    ("lights.lamp.frame", "camera", {"camera_pose": [0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}),
+    ("lights.lamp.position", [0.2, 0.3, 0.0], PLAIN),
+    ("lights.lamp.direction", [0.0, 0.2, 1.0], {"lights.lamp.type": "directional"}),
+    ("lights.lamp.direction", [-0.3, 0.0, 1.0], SPOT),
+    ("lights.lamp.outer_angle", 0.2, SPOT),
+    ("lights.lamp.range", 2.1, PLAIN),
+    ("lights.lamp.range", 2.1, SPHERE),
+    ("lights.lamp.radius", 0.3, SPHERE),
+    ("lights.lamp.sun.latitude", 40.0, SUN),
+    ("lights.lamp.sun.longitude", 20.0, SUN),
+    ("lights.lamp.sun.time", "2026-06-21T10:00:00Z", SUN),
+    ("lights.lamp.sun.time", "", SUN),
 ]
 
 
-@pytest.mark.parametrize("change", CHANGES, ids=lambda change: ",".join(change))
-def test_a_change_shows_in_the_next_mask(rig: Rig, change: dict[str, Any]) -> None:
-    before = rig.trace(wall())
-    assert rig.set(**change) == ""
-    assert not np.array_equal(rig.trace(wall()), before)
+def corner() -> np.ndarray:
+    """A wall with a box before it."""
+    depth = wall()
+    depth[12:25, 30:43] = 1.7
+    return depth
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    """A mesh that casts."""
+    vertices, triangles = plate(x=0.3)
+    corners = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist())
+    path = tmp_path / "plate.obj"
+    path.write_text(corners + "".join("f {} {} {}\n".format(*(row + 1)) for row in triangles))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "given"), CHANGES, ids=[f"{name}={value}".replace(" ", "") for name, value, _ in CHANGES]
+)
+def test_a_change_shows_in_the_next_mask(rig: Rig, file: str, name: str, value: Any, given: dict[str, Any]) -> None:
+    """Set while it runs; and a node that was started so gives the same mask."""
+    if given.get("lights.lamp.sun.time") or "sun" in str(value):
+        pytest.importorskip("ephem")
+    if name.startswith("mesh.files"):
+        pytest.importorskip("trimesh")
+    given, value = ({key: [file] if v == ["{plate}"] else v for key, v in m.items()} for m in (given, {name: value}))
+    if given:
+        assert rig.set(**{key.replace(".", "__"): v for key, v in given.items()}) == ""
+    if "fixed_frame" in given:
+        rig.send_part("mesh", Mesh, encode_mesh(*plate(distance=4.0)))  # below the camera, in the map
+    stamp = rig.next_stamp()
+    before = rig.trace(corner(), stamp=stamp)
+    assert rig.set(**{key.replace(".", "__"): v for key, v in value.items()}) == ""
+    after = rig.trace(corner())
+    assert not np.array_equal(after, before)
+    assert (
+        rig.set(**{key.replace(".", "__"): given.get(key, STANDARD.get(key, default_of(key))) for key in value}) == ""
+    )
+    np.testing.assert_array_equal(rig.trace(corner()), before)
+
+
+def test_every_parameter_is_shown_to_change_something() -> None:
+    shown = {name for name, _, _ in CHANGES} | set(SHOWN_BELOW)
+    assert shown == set(names_for(["lamp"]))
 
 
 @pytest.mark.parametrize(
@@ -62,10 +150,10 @@ def test_a_change_shows_in_the_next_mask(rig: Rig, change: dict[str, Any]) -> No
         ("bounds__max_lights", 5, "bounds.max_lights is read-only"),
         ("bounds__queue_capacity", 5, "bounds.queue_capacity is read-only"),
         ("bounds__grid_entries", 5, "bounds.grid_entries is read-only"),
-        ("bias__constant", -1.0, "out of range"),
-        ("bias__constant", math.nan, "out of range"),
-        ("bias__constant", "small", "Wrong parameter type"),
-        ("mask__unknown_value", 255, "out of range"),
+        ("bias__constant", -1.0, "bias.constant: expected double (0 to 10 m), got -1.0"),
+        ("bias__constant", math.nan, "bias.constant: expected double (0 to 10 m), got nan"),
+        ("bias__constant", "small", "bias.constant: expected double (0 to 10 m), got 'small'"),
+        ("mask__unknown_value", 255, "mask.unknown_value: expected integer (0 to 254), got 255"),
         ("pose_source", "gps", "pose_source: expected string (tf, topic, parameter), got 'gps'"),
         ("variant", "float64", "variant: expected one of packed, packed_scalar"),
         ("camera_pose", [0.0], "camera_pose: expected double array (7 numbers)"),
@@ -84,6 +172,19 @@ def test_what_is_refused_changes_nothing(rig: Rig, name: str, value: Any, reason
     assert reason in rig.set(**{name: value})
     assert rig.node and rig.node.settings is settings
     np.testing.assert_array_equal(rig.trace(wall()), before)
+
+
+def test_every_bad_value_of_the_table_is_refused_while_it_runs(rig: Rig) -> None:
+    settings, names = rig.core.settings, set()
+    for name, value, _ in BAD:
+        if isinstance(value, list) and math.nan in value:
+            value = [float(item) for item in value]  # of one type, as all arrays of ROS
+        reason = rig.set(**{name.replace(".", "__"): value})
+        assert reason.startswith(name), (value, reason)
+        assert rig.core.settings is settings
+        names.add(name)
+    assert names == set(names_for(["lamp"]))
+    rig.trace(wall())
 
 
 def test_several_at_once_are_taken_or_refused_together(rig: Rig) -> None:
@@ -213,3 +314,130 @@ def test_diagnostics_period(rig: Rig) -> None:
     rig.settle(0.6)
     assert len(rig.reports) - count <= 1
     rig.until(lambda: len(rig.reports) - count >= 2)
+
+
+def test_tf_timeout(rig: Rig) -> None:
+    assert rig.set(tf_timeout=10.0, mask__unknown_value=7) == ""
+    stamp = rig.send_frame(wall(), info=False)
+    rig.until(lambda: rig.value(PROCESSING, "waiting") == "1")
+    count = len(rig.masks[""])
+    rig.settle(0.3)
+    assert len(rig.masks[""]) == count
+    assert rig.set(tf_timeout=0.0) == ""
+    assert (rig.mask_of(stamp) == 7).all()
+
+
+def test_camera_info_policy(rig: Rig) -> None:
+    good = rig.trace(wall())
+    assert not rig.trace(wall(), info=False).any()
+    assert rig.set(camera_info_policy="latest") == ""
+    np.testing.assert_array_equal(rig.trace(wall(), info=False), good)
+
+
+def test_mask_publish(rig: Rig) -> None:
+    sent: list[Any] = []
+    rig.core.outputs.bits.publish = sent.append
+    rig.trace(wall())
+    assert not sent
+    assert rig.set(mask__publish="always") == ""
+    rig.trace(wall())
+    assert len(sent) == 1
+
+
+def test_process(rig: Rig) -> None:
+    def answered(count: int) -> int:
+        before = len(rig.masks[""])
+        stamps = [rig.send_frame(wall()) for _ in range(count)]  # nothing is spun meanwhile
+        rig.mask_of(stamps[-1])
+        return len(rig.masks[""]) - before
+
+    assert answered(30) < 8
+    assert rig.set(process="every") == ""
+    rig.connected()
+    assert answered(30) == 30
+
+
+def test_verify_every(rig: Rig) -> None:
+    def verified(count: int) -> int:
+        before = rig.core.processor.verified
+        for _ in range(count):
+            rig.trace(wall())
+        return rig.core.processor.verified - before
+
+    assert verified(2) == 0
+    assert rig.set(verify_every=2) == ""
+    assert verified(4) == 2
+    assert rig.set(verify_every=1) == ""
+    assert verified(4) == 4
+
+
+def test_pipeline_and_variant(rig: Rig) -> None:
+    for pipeline, variant in (("mesh_bvh", ""), ("mesh_bvh", "rebuild"), ("light_grid", "spherical")):
+        assert rig.set(pipeline=pipeline, variant=variant) == ""
+        rig.wait_status(DEVICE, OK, f"{pipeline}/{variant or available_pipelines()[pipeline][0]} on cpu")
+
+
+def test_device() -> None:
+    with Rig() as rig:
+        rig.wait_status(DEVICE, OK, "on cpu")
+    with Rig(start=False) as rig:
+        rig.start({"device": "cuda:63"}, wait=False)
+        with pytest.raises(StartupError, match="device"):
+            rig.until(lambda: False, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("bound", "value", "status", "text"),
+    [
+        ("max_triangles", 1, MESH, "bounds.max_triangles: the mesh has 2 triangles, the bound is 1"),
+        ("max_rays", 64 * 48 - 1, PROCESSING, "bounds.max_rays: the image has 64 x 48 = 3072 pixels"),
+    ],
+)
+def test_bounds_that_refuse(bound: str, value: int, status: str, text: str) -> None:
+    with Rig({f"bounds.{bound}": value, "mask.unknown_value": 7}) as rig:
+        rig.send_mesh(*plate())
+        mask = rig.trace(wall())
+        rig.wait_status(status, ERROR, text)
+        assert (mask == 7).all() == (bound == "max_rays") and not (mask == 0).any()
+
+
+def test_bounds_max_lights() -> None:
+    with Rig({"bounds.max_lights": 2}) as rig:
+        assert rig.set(lights=["a", "b"]) == ""
+        assert "at most bounds.max_lights = 2 names, got 3" in rig.set(lights=["a", "b", "c"])
+
+
+@pytest.mark.parametrize("bound", ["queue_capacity", "grid_entries"])
+def test_bounds_that_cost_passes(bound: str) -> None:
+    """Less room for what waits: more passes, the same mask, and a warning that names the bound."""
+    # Rays that meet the edges of this plate exactly cannot be decided at once, and wait.
+    mesh = plate(half=2.0 * 8.5 / FOCAL)
+    masks = []
+    for values in ({}, {f"bounds.{bound}": 1}):
+        with Rig({"lights.lamp.type": "directional", **values}) as rig:
+            rig.send_mesh(*mesh)
+            masks.append(rig.trace(wall()))
+            rig.until(lambda: rig.value(PROCESSING, "traced") == "1")
+            assert (int(rig.value(PROCESSING, "overflow passes")) > 0) == bool(values)
+            if values:
+                rig.wait_status(PROCESSING, WARN, f"bounds.{bound}")
+    np.testing.assert_array_equal(*masks)
+
+
+SHOWN_BELOW = {
+    "front_face_culling": test_front_faces_are_culled_if_asked_for,
+    "pipeline": test_pipeline_and_variant,
+    "variant": test_pipeline_and_variant,
+    "device": test_device,
+    "tf_timeout": test_tf_timeout,
+    "camera_info_policy": test_camera_info_policy,
+    "mask.publish": test_mask_publish,
+    "process": test_process,
+    "verify_every": test_verify_every,
+    "diagnostics_period": test_diagnostics_period,
+    "bounds.max_triangles": test_bounds_that_refuse,
+    "bounds.max_rays": test_bounds_that_refuse,
+    "bounds.max_lights": test_bounds_max_lights,
+    "bounds.queue_capacity": test_bounds_that_cost_passes,
+    "bounds.grid_entries": test_bounds_that_cost_passes,
+}

@@ -15,7 +15,7 @@ from node_world import UNKNOWN, cloud_msg, library
 from sensor_msgs.msg import PointCloud2
 from tf_double import Buffer, module, transform
 
-from shadow_tracer import DirectionalLight, PointLight, ShadowTracer, SpotLight, State
+from shadow_tracer import DirectionalLight, PointLight, ShadowTracer, SphereLight, SpotLight, State
 from shadow_tracer.ros.diagnostics import ERROR, PROCESSING, TRANSFORMS, WARN
 from shadow_tracer.ros.messages import rigid
 
@@ -154,7 +154,7 @@ def test_a_frame_that_is_missing_makes_the_answer_unknown(monkeypatch: pytest.Mo
     monkeypatch.setitem(sys.modules, "tf2_ros", double)
     with Rig({**LIGHTS, "fixed_frame": "map", "tf_timeout": 0.0}) as rig:
         _, bits, known = answer(rig.ask(cloud_msg(points_of(10), rig.stamp, "nowhere")))
-        assert not known.any() and not bits.any()
+        assert not known.any() and not bits.any()  # before there was an image, too
         status = rig.wait_status(TRANSFORMS, WARN, "nowhere")
         assert "header.frame_id of query" in status.message
         rig.wait_status(PROCESSING, WARN, "the last query has no answer, see 'transforms'")
@@ -176,6 +176,21 @@ def test_what_a_mask_needs_a_query_needs(rig: Rig, change: dict[str, Any], text:
     _, bits, known = answer(rig.ask(cloud_msg(points_of(10), rig.stamp, frame)))
     assert not known.any() and not bits.any()
     rig.until(lambda: any(text in status.message for status in rig.reports[-1].status))
+
+
+def test_before_the_first_image_no_frame_is_taken_for_the_camera(tracer: ShadowTracer) -> None:
+    points, turn = points_of(50), (0.0, 0.0, 0.6, 0.8)
+    pose = rigid((0.2, 0.1, 0.0), turn, "camera_pose")
+    with Rig({**LIGHTS, "pose_source": "parameter", "camera_pose": [0.2, 0.1, 0.0, *turn]}) as rig:
+        rig.send_mesh(*plate())
+        np.testing.assert_array_equal(answer(rig.ask(cloud_msg(points, frame="")))[1], expected(tracer, points))
+        assert not answer(rig.ask(cloud_msg(points, frame="camera")))[2].any()
+        rig.trace(wall())
+        _, bits, known = answer(rig.ask(cloud_msg(points, frame="camera")))
+        assert known.all()
+        np.testing.assert_array_equal(bits, expected(tracer, points @ pose[:3, :3].T + pose[:3, 3]))
+        assert not answer(rig.ask(cloud_msg(points, frame="lidar")))[2].any()
+        rig.wait_status(TRANSFORMS, ERROR, "header.frame_id of query is 'lidar' but fixed_frame is empty")
 
 
 def test_a_stale_mesh_makes_the_answer_unknown() -> None:
@@ -242,6 +257,17 @@ def test_more_than_can_wait_are_dropped_and_counted(monkeypatch: pytest.MonkeyPa
         gate.set()
         rig.until(lambda: len(answers) == 8)
         assert [msg.header.stamp.nanosec for msg in answers] == list(range(3, 11))
+
+
+def test_a_sphere_reaches_a_point_if_some_of_it_does(tracer: ShadowTracer) -> None:
+    points = points_of(400)
+    parameters = {"bias.constant": 0.01, "lights.lamp.type": "sphere", "lights.lamp.radius": 0.2}
+    with Rig(parameters) as rig:
+        rig.send_mesh(*plate())
+        bits = answer(rig.ask(cloud_msg(points)))[1]
+    states = tracer.states_at(points, [SphereLight("lamp", (0.5, -0.5, 0.0), 0.2)], bias=0.01)[0]
+    np.testing.assert_array_equal(bits, np.isin(states, (State.LIT, State.PENUMBRA)))
+    assert (states == State.PENUMBRA).any() and (states == State.SHADOWED).any()
 
 
 def test_the_surface_of_the_depth_image_casts_on_queries_while_it_is_an_occluder(rig: Rig) -> None:

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The service ~/self_test: every pipeline on a built-in scene, while the node goes on. (~/clear_meshes: test_node_meshes.)"""
+"""The service ~/self_test: every pipeline on a built-in scene, while the node goes on. For ~/clear_meshes see
+test_node_meshes."""
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -10,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.srv import SelfTest
-from harness import Rig, plate, wall
+from harness import NodeProcess, Rig, plate, wall
 from std_srvs.srv import Trigger
 
 from shadow_tracer import available_pipelines
@@ -109,6 +111,15 @@ def test_a_node_that_starts_tests_itself_when_it_can(monkeypatch: pytest.MonkeyP
         rig.until(future.done)
         assert future.result().passed == b"\x01"
         rig.until(lambda: rig.node and rig.node.ready)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_a_signal_amid_a_self_test_ends_the_node_cleanly(delay: float) -> None:
+    with NodeProcess() as process, Rig(start=False) as rig:
+        process.wait_for("Ready")
+        rig.request(SelfTest, SERVICE)
+        rig.settle(delay)
+        assert process.stop(signal.SIGINT) == (0, "")
 
 
 def test_clear_meshes_says_what_went_wrong(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
