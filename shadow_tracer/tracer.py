@@ -39,6 +39,8 @@ class ShadowTracer:
         graphs: whether the launches of a frame are recorded and replayed as one where the pipeline allows it
             (``cone_hierarchy/linear`` and ``light_grid`` do); :attr:`Frame.stages` then has one stage ``graph`` for
             all of them. None is yes on CUDA and no on the CPU, where recording is an experiment of Warp's.
+        threads: how many cores of the CPU a frame may keep busy, where the pipeline allows it (``light_grid``,
+            ``cone_hierarchy/linear`` and ``brute_force`` do); None is all that this process may use, at most 8.
 
     Raises:
         ValueError: an unknown name, the message lists the known ones; or ``front_face_culling`` is not a bool.
@@ -54,16 +56,21 @@ class ShadowTracer:
         *,
         front_face_culling: bool = False,
         graphs: bool | None = None,
+        threads: int | None = None,
     ) -> None:
         self._names = resolve(pipeline, variant)
         self._bounds = bounds or Bounds()
         try:
-            from shadow_tracer.gpu import devices, engine
+            from shadow_tracer.gpu import devices, engine, workers
         except ModuleNotFoundError as error:
             if error.name != "warp":
                 raise
             raise ImportError("shadow_tracer needs NVIDIA Warp to trace: pip install 'warp-lang>=1.19'") from error
-        self._engine = engine.Engine(devices.pick_device(device), self._bounds, *self._names, graphs)
+        if threads is None:
+            threads = workers.available_cores()
+        elif isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or not 1 <= threads <= 64:
+            raise ValueError(f"threads: expected an integer from 1 to 64, or None, got {threads!r}")
+        self._engine = engine.Engine(devices.pick_device(device), self._bounds, *self._names, graphs, int(threads))
         self._last: tuple[tuple[Any, ...], Frame] | None = None  # what was traced last, and the answer
         self.front_face_culling = front_face_culling
         self.scene = Scene(self._bounds)
@@ -83,6 +90,12 @@ class ShadowTracer:
     def variant(self) -> str:
         """Name of the variant in use."""
         return self._names[1]
+
+    @property
+    def threads(self) -> int:
+        """Cores that a frame may keep busy: 1 on CUDA, with recorded frames, and where bounds are too small to be cut
+        into shares."""
+        return self._engine.threads
 
     @property
     def bounds(self) -> Bounds:

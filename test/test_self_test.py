@@ -12,9 +12,9 @@ import pytest
 
 from shadow_tracer import DirectionalLight, SpotLight, State, available_pipelines, self_test
 from shadow_tracer.gpu.brute_force import BruteForce
-from shadow_tracer.gpu.engine import Engine
 from shadow_tracer.gpu.light_grid.packed import PackedGrid
 from shadow_tracer.gpu.mesh_bvh import MeshBvh
+from shadow_tracer.gpu.share import Share
 
 _NAMES = ["brute_force", *(name for name in available_pipelines() if name != "brute_force")]
 
@@ -78,16 +78,16 @@ def test_the_checksum_is_that_of_the_oracle() -> None:
 def test_a_wrong_pipeline_is_named(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that leaves out the last light, so that its shadows are lit: exactly these pairs are counted."""
     shadows = sum(int((states[2] == State.SHADOWED).sum()) for states in _expected())
-    attempt = Engine._attempt
+    trace = Share.trace
 
     def all_but_the_last(this: Any, work: Any) -> None:
-        attempt(this, work)
-        if isinstance(this._pipeline, PackedGrid):
-            states = this._frame.states_of(2)
+        trace(this, work)
+        if isinstance(this.pipeline, PackedGrid):
+            states = this.frame.states_of(2)
             host = states.numpy()
             states.assign(np.where(host == State.SHADOWED, np.uint8(State.LIT), host))
 
-    monkeypatch.setattr(Engine, "_attempt", all_but_the_last)
+    monkeypatch.setattr(Share, "trace", all_but_the_last)
     results = {result.pipeline: result for result in self_test.run(any_device)}
     wrong = results.pop("light_grid")
     if any_device == "cpu":

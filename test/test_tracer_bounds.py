@@ -66,7 +66,7 @@ def test_any_queue_capacity(tracer_case: tuple[str, str, str], capacity: int | N
 
 def test_the_counter_of_a_full_queue_stops(tracer_case: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """It would come round to valid places if it counted more pairs than there are integers."""
-    from shadow_tracer.gpu import engine
+    from shadow_tracer.gpu import share
 
     device, pipeline, variant = tracer_case
     lattice, camera, depth = _uncertain()
@@ -75,13 +75,13 @@ def test_the_counter_of_a_full_queue_stops(tracer_case: tuple[str, str, str], mo
     )
     tracer.scene.put("lattice", *lattice)
     seen: list[int] = []
-    finish = engine.Engine._finish_overflow
+    finish = share.Share.finish_overflow
 
-    def look(self: engine.Engine, *arguments: object) -> int:
-        seen.extend(self._frame.queue_counts.numpy())
+    def look(self: share.Share, *arguments: object) -> int:
+        seen.extend(self.frame.queue_counts.numpy())
         return finish(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(engine.Engine, "_finish_overflow", look)
+    monkeypatch.setattr(share.Share, "finish_overflow", look)
     tracer.trace(depth, camera, _LIGHTS, 0.0)
     # Threads that asked before they could see it full; each ray of brute_force leaves after asking once.
     late = 100 if pipeline == "brute_force" else 0 if device == "cpu" else 100 * 100

@@ -213,12 +213,15 @@ class BruteForce:
     def update(self, change: Change) -> None:
         """Nothing is kept between frames."""
 
+    def prepare(self, work: Pass) -> None:
+        """Records of the light; for float64 only to count the degenerate triangles."""
+        with self._context.stages.stage("setup"):
+            self._context.records.prepare(work.light)
+
     def trace(self, work: Pass) -> None:
         """Test every ray of the light against every triangle."""
         frame, light, attempt = work.light, work.first, work.attempt
         buffers, scene, stages = self._context.frame, self._context.scene, self._context.stages
-        with stages.stage("setup"):
-            self._context.records.prepare(frame)  # for float64 only to count the degenerate triangles
         if self._variant == "float64":
             with stages.stage("trace"):
                 wp.launch(

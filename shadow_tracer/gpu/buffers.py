@@ -8,7 +8,7 @@ does (queue length, counters). Nothing here allocates per frame.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -95,40 +95,70 @@ class Slices:
         return self._made[key]
 
 
-class FrameBuffers:
-    """Everything a frame needs on the device: samples, rays, states, queue, triangle records, counters."""
+def share_of(bounds: Bounds, shares: int) -> Bounds:
+    """Capacities of one of several shares of the rays; of each list at least one place."""
+    return replace(
+        bounds,
+        max_rays=-(-bounds.max_rays // shares),
+        queue_capacity=max(1, bounds.queue_capacity // shares),
+        grid_entries=max(1, bounds.grid_entries // shares),
+    )
 
-    def __init__(self, bounds: Bounds, device: Any) -> None:
-        rays = bounds.max_rays
+
+class FrameBuffers:
+    """Everything a frame needs on the device: samples, rays, states, queue, triangle records, counters.
+
+    Args:
+        bounds: capacities.
+        shares: the number of shares that the buffers can be cut into.
+        whole: buffers in whose memory these are to lie, as share number ``number``; records are not cut.
+    """
+
+    def __init__(
+        self, bounds: Bounds, device: Any, shares: int = 1, whole: FrameBuffers | None = None, number: int = 0
+    ) -> None:
+        if whole is not None:
+            bounds = share_of(bounds, shares)
         self.bounds = bounds
         self.device = device
-        self.depth_metres = wp.empty(rays, dtype=wp.float32, device=device)
-        self.depth_millimetres = wp.empty(rays, dtype=wp.uint16, device=device)
-        self.samples = wp.empty(rays, dtype=wp.vec4d, device=device)
-        self.valid = wp.empty(rays, dtype=wp.uint8, device=device)
-        self.rays = wp.empty(rays, dtype=wp.vec4, device=device)
+
+        def take(name: str, count: int, dtype: Any) -> wp.array:
+            if whole is None:
+                return wp.empty(count, dtype=dtype, device=device)
+            return getattr(whole, name)[number * count : (number + 1) * count]
+
+        rays = bounds.max_rays if whole else shares * share_of(bounds, shares).max_rays
+        self.depth_metres = take("depth_metres", rays, wp.float32)
+        self.depth_millimetres = take("depth_millimetres", rays, wp.uint16)
+        self.samples = take("samples", rays, wp.vec4d)
+        self.valid = take("valid", rays, wp.uint8)
+        self.rays = take("rays", rays, wp.vec4)
         self._pinhole = HostValues(Pinhole, 1, device)
         self._light_frames = HostValues(LightFrame, bounds.max_lights, device)
         self.pinhole = self._pinhole.array
         self.light_frame_of = [self._light_frames.array[k : k + 1] for k in range(bounds.max_lights)]
         self._lights_from = [self._light_frames.array[k:] for k in range(bounds.max_lights)]
-        self.states = wp.empty(rays * bounds.max_lights, dtype=wp.uint8, device=device)  # light after light
-        self.records = wp.empty((bounds.max_triangles, 4), dtype=wp.vec4, device=device)
-        self.queue = wp.empty(bounds.queue_capacity, dtype=wp.vec2i, device=device)
+        self.states = take("states", rays * bounds.max_lights, wp.uint8)  # light after light
+        self.records: wp.array = (
+            whole.records if whole else wp.empty((bounds.max_triangles, 4), dtype=wp.vec4, device=device)
+        )
+        self.queue = take("queue", bounds.queue_capacity, wp.vec2i)
         self.queue_counts = wp.zeros(bounds.max_lights, dtype=int, device=device)
         self.queue_count_of = [self.queue_counts[k : k + 1] for k in range(bounds.max_lights)]
         self.parts = wp.zeros(bounds.max_lights, dtype=int, device=device)  # see Pass.part, by first light
         self.parts_of = [self.parts[k : k + 1] for k in range(bounds.max_lights)]
-        self.resume = wp.empty(rays, dtype=int, device=device)
+        self.resume = take("resume", rays, int)
         self.deferred = wp.zeros(1, dtype=int, device=device)  # whether a pass left rays for the next one
         self.counters = wp.zeros((_ROWS, len(COUNTERS)), dtype=wp.int64, device=device)
         self.count = 0  # samples of the current frame
         self.width = 0  # of the image they come from; 0 if they are a list of points
+        self.first = 0  # of all samples of the frame, the number of the first of these
         self._slices = Slices()
 
-    def set_samples(self, count: int, width: int) -> None:
-        """Tell how many samples this frame has, and the width of the image they come from (0: a list of points)."""
-        self.count, self.width = count, width
+    def set_samples(self, count: int, width: int, first: int = 0) -> None:
+        """Tell how many samples these buffers have of this frame, the width of the image they come from (0: a list of
+        points), and which is the first."""
+        self.count, self.width, self.first = count, width, first
 
     def lights_from(self, light: int) -> wp.array:
         """Frames of the lights from number ``light`` on."""

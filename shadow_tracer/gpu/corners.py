@@ -67,9 +67,17 @@ class Corners:
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        capacity = 3 * context.frame.bounds.max_triangles
+        capacity = 3 * context.frame.bounds.max_triangles  # of the whole scene, whatever share of rays the frame has
         self._vertices = wp.empty(capacity, dtype=wp.vec4, device=context.frame.device)
         self._slices = Slices()
+
+    @staticmethod
+    def shared(context: Context) -> Corners:
+        """Those of the context, made when first asked for."""
+        if context.shared.corners is None:
+            context.shared.corners = Corners(context)
+        corners: Corners = context.shared.corners
+        return corners
 
     def of(self, light: int, lights: int = 1) -> wp.array:
         """Vertices for ``lights`` lights from number ``light`` on, light after light."""
@@ -78,8 +86,8 @@ class Corners:
 
     def make(self, frame: LightFrame) -> None:
         """Make them for the light of ``frame``; to be done whenever its triangle records are made."""
-        buffers, scene = self._context.frame, self._context.scene
-        device, count, light = buffers.device, scene.vertex_count, buffers.light_frame_of[frame.number]
+        scene, light = self._context.scene, self._context.records.light_frame(frame.number)
+        device, count = scene.device, scene.vertex_count
         out = self.of(frame.number)
         if device.is_cpu:
             inputs = [light, count, scene.vertices, out]

@@ -3,32 +3,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu import light_frame, projection, shadow_test, soft, unproject
-from shadow_tracer.gpu.buffers import Change, FrameBuffers, SceneBuffers, upload
+from shadow_tracer.gpu import light_frame, soft
+from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
 from shadow_tracer.gpu.graphs import FrameGraphs
 from shadow_tracer.gpu.light_frame import Anchor, make_anchor, make_light_frame
 from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.pinhole import make_pinhole
-from shadow_tracer.gpu.pipelines import Pipeline, make_pipeline
+from shadow_tracer.gpu.pipelines import Pipeline, side_by_side
+from shadow_tracer.gpu.share import Share
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangles import Context, TriangleRecords
+from shadow_tracer.gpu.workers import Workers
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.lights import HardLight, Light
 from shadow_tracer.scene.mesh import Scene
 
-# Threads that share the queue: enough to fill a GPU, and one on the CPU where threads run one after the other.
-_RESOLVERS_CUDA = 65536
+# Fewer samples for each thread are not worth it.
+_LEAST = 16384
 
 
 @dataclass(frozen=True)
@@ -42,33 +45,39 @@ class Traced:
     reached: dict[int, npt.NDArray[np.uint16]] = field(default_factory=dict)
 
 
-@dataclass
-class _Second:
-    """The pipeline that is not in use, and the names of the second one."""
-
-    names: tuple[str, str]
-    pipeline: Pipeline
-
-
 class Engine:
-    """Device side of a tracer."""
+    """Device side of a tracer.
 
-    def __init__(self, device: Any, bounds: Bounds, pipeline: str, variant: str, graphs: bool | None) -> None:
+    Args:
+        threads: how many shares of the rays are worked on side by side, on the CPU and where the pipeline allows it.
+    """
+
+    def __init__(
+        self, device: Any, bounds: Bounds, pipeline: str, variant: str, graphs: bool | None, threads: int = 1
+    ) -> None:
         self.device = device
-        self._use_graphs = device.is_cuda if graphs is None else graphs
-        self._graphs = FrameGraphs(device)
         self.bounds = bounds
         self.stages = Stages(device)
-        self._frame = FrameBuffers(bounds, device)
+        self._use_graphs = device.is_cuda if graphs is None else graphs
+        self._graphs = FrameGraphs(device)
+        self._workers = Workers(_shares(device, bounds, threads, self._use_graphs))
+        self._loaded: set[Hashable] = set()
+        self._frame = FrameBuffers(bounds, device, self._workers.count)
         self._scene = SceneBuffers(bounds, device)
         self._context = Context(self._frame, self._scene, TriangleRecords(self._frame, self._scene), self.stages)
         self._anchor: Anchor | None = None
-        self._pipeline: Pipeline
-        self._second: _Second | None = None
-        self._seconding = False
-        # The worst that has happened to the scene since the first, and the second, pipeline took note.
-        self._news = [Change.TOPOLOGY, Change.TOPOLOGY]
+        self._team: list[Share] = []
+        self._second: Share | None = None
         self.select(pipeline, variant)
+
+    @property
+    def threads(self) -> int:
+        """The most shares that are worked on side by side."""
+        return self._workers.count
+
+    @property
+    def _pipeline(self) -> Pipeline:
+        return self._team[0].pipeline
 
     def select(self, pipeline: str, variant: str) -> None:
         """Use another pipeline from the next frame on; the old one's buffers are freed, and the second pipeline's if it
@@ -77,8 +86,18 @@ class Engine:
             self.release_second()
         self._graphs.clear()
         self._context.records.forget()
-        self._pipeline = make_pipeline(pipeline, variant, self._context)
-        self._news[0] = Change.TOPOLOGY
+        self._team = []
+        if self._second is None:
+            self._context.shared.corners = None
+        shares = self._workers.count if side_by_side(pipeline, variant) else 1
+        self._team = [Share(self._part(number, shares), pipeline, variant) for number in range(shares)]
+
+    def _part(self, number: int, shares: int) -> Context:
+        """The context of a share; the only one works on the whole."""
+        if shares == 1:
+            return self._context
+        frame = FrameBuffers(self.bounds, self.device, shares, self._frame, number)
+        return replace(self._context, frame=frame, stages=Stages(self.device))
 
     @property
     def second(self) -> str | None:
@@ -90,8 +109,7 @@ class Engine:
         was there before is freed unless it is the same."""
         if self._second is None or self._second.names != (pipeline, variant):
             self.release_second()
-            self._second = _Second((pipeline, variant), make_pipeline(pipeline, variant, self._context))
-            self._news[1] = Change.TOPOLOGY
+            self._second = Share(self._context, pipeline, variant)
 
     def release_second(self) -> None:
         """Free the second pipeline's buffers, if there are any."""
@@ -100,15 +118,14 @@ class Engine:
     @contextmanager
     def second_opinion(self) -> Iterator[None]:
         """Frames inside are traced by the second pipeline, kernel by kernel, with triangle records made anew."""
-        second = self._second
-        assert second is not None and not self._seconding
-        # Pipelines keep more of a light than its records (corners), and tell by the records whether they have it.
+        team, second, graphs = self._team, self._second, self._use_graphs
+        assert second is not None and second not in team
         self._context.records.forget()
-        self._pipeline, second.pipeline, self._seconding = second.pipeline, self._pipeline, True
+        self._team, self._use_graphs = [second], False
         try:
             yield
         finally:
-            self._pipeline, second.pipeline, self._seconding = second.pipeline, self._pipeline, False
+            self._team, self._use_graphs = team, graphs
             self._context.records.forget()
 
     @property
@@ -122,33 +139,37 @@ class Engine:
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
-        second = self._second.pipeline.nbytes() if self._second is not None else 0
-        return self._frame.nbytes() + self._scene.nbytes() + self._pipeline.nbytes() + second
+        pipelines = [share.pipeline for share in (*self._team, self._second) if share is not None]
+        corners = self._context.shared.corners
+        parts = [self._frame, self._scene, *pipelines, *([corners] if corners is not None else [])]
+        return sum(part.nbytes() for part in parts)
 
     def holds(self, depth: np.ndarray) -> bool:
         """Whether ``depth`` is, bit for bit, the depth image last traced in its format. Waits for the device."""
-        frame, metres = self._frame, depth.dtype == np.float32
-        held = (frame.depth_metres if metres else frame.depth_millimetres)[: depth.size].numpy()
-        integer = np.uint32 if metres else np.uint16
-        return np.array_equal(held.view(integer), depth.reshape(-1).view(integer))  # as bits: NaN equals NaN
+        flat, integer = depth.reshape(-1), np.uint32 if depth.dtype == np.float32 else np.uint16
+        for frame in (share.frame for share in self._working(depth.size)):
+            held = _depth_of(frame, depth.dtype)[: frame.count].numpy()
+            mine = flat[frame.first : frame.first + frame.count]
+            if not np.array_equal(held.view(integer), mine.view(integer)):  # as bits: NaN equals NaN
+                return False
+        return True
 
     def trace_depth(
         self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: tuple[float, float]
     ) -> Traced:
         """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
         order."""
-        self.stages.reset()
-        frame = self._frame
-        metres = depth.dtype == np.float32
-        target = frame.depth_metres if metres else frame.depth_millimetres
+        self._reset(depth.size)
+        working = self._working(depth.size)
         with self.stages.stage("upload"):
             self._sync(scene)
-            upload(target, depth.reshape(-1))
-        frame.set_samples(depth.size, camera.width)
+            flat = depth.reshape(-1)
+            for frame, (first, end) in zip(self._frames(working), _cuts(depth, working), strict=True):
+                frame.set_samples(end - first, camera.width, first)
+                frame.set_camera(make_pinhole(camera, bias, first))
+                upload(_depth_of(frame, depth.dtype), flat[first:end])
         self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
-        frame.set_camera(make_pinhole(camera, bias))
-        self._take_note()
-        return self._trace_all(lights, target)
+        return self._trace_all(working, lights, depth.dtype)
 
     def trace_points(
         self,
@@ -160,155 +181,182 @@ class Engine:
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
         is all valid."""
-        self.stages.reset()
-        frame = self._frame
+        self._reset(len(points))
+        working = self._working(len(points))
         with self.stages.stage("upload"):
             self._sync(scene)
             samples = np.empty((len(points), 4))
             samples[:, :3] = points
             samples[:, 3] = bias
-            upload(frame.samples, samples)
-            upload(frame.valid, (np.ones(len(points), np.bool_) if valid is None else valid).view(np.uint8))
-        frame.set_samples(len(points), 0)
+            good = (np.ones(len(points), np.bool_) if valid is None else valid).view(np.uint8)
+            for frame, (first, end) in zip(self._frames(working), _even_cuts(len(points), len(working)), strict=True):
+                frame.set_samples(end - first, 0, first)
+                upload(frame.samples, samples[first:end])
+                upload(frame.valid, good[first:end])
         seen = points if valid is None or not valid.any() else points[valid]
         low, high = seen.min(axis=0), seen.max(axis=0)
         center = 0.5 * low + 0.5 * high
         self._anchor = make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), self._anchor)
-        self._take_note()
-        return self._trace_all(lights, None)
+        return self._trace_all(working, lights, None)
+
+    def _working(self, count: int) -> list[Share]:
+        """The shares that so many samples are worth: all, or the first alone."""
+        return self._team if count >= _LEAST * len(self._team) else self._team[:1]
+
+    @staticmethod
+    def _frames(working: Sequence[Share]) -> list[FrameBuffers]:
+        return [share.frame for share in working]
+
+    def _reset(self, count: int) -> None:
+        for stages in {id(share.stages): share.stages for share in self._team}.values():
+            stages.reset()
+        self.stages.reset()
 
     def _sync(self, scene: Scene) -> None:
         change = self._scene.sync(scene)
-        self._news = [max(before, change) for before in self._news]
+        for share in (*self._team, self._second):
+            if share is not None:
+                share.news = max(share.news, change)
 
-    def _take_note(self) -> None:
-        self._pipeline.update(self._news[self._seconding])
-        self._news[self._seconding] = Change.NOTHING
-
-    def _trace_all(self, lights: Sequence[Light], depth: wp.array | None) -> Traced:
+    def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Any) -> Traced:
+        for share in working:
+            share.take_note()
         if not soft.is_soft(lights):
-            return self._trace_lights(lights, depth)
-        tally = soft.Tally(lights, self._frame.count, self.bounds.max_lights)
+            return self._trace_lights(working, lights, source)
+        count = sum(share.frame.count for share in working)
+        tally = soft.Tally(lights, count, self.bounds.max_lights)
         counters: dict[str, int] = {}
         for first, batch in tally.batches():
-            traced = self._trace_lights(batch, depth if first == 0 else None)
+            traced = self._trace_lights(working, batch, source if first == 0 else None)
             tally.add(first, traced.states)
             counters = soft.add_up(counters, traced.counters)
         states, reached = tally.result()
         return Traced(states, traced.stages, counters, reached)
 
-    def _trace_lights(self, lights: Sequence[HardLight], depth: wp.array | None) -> Traced:
-        frame = self._frame
+    def _trace_lights(self, working: list[Share], lights: Sequence[HardLight], source: Any) -> Traced:
+        """``source`` is the format of the depth image that samples are to be made of, None if there are some."""
         assert self._anchor is not None
         light_frames = [make_light_frame(light, self._anchor, index) for index, light in enumerate(lights)]
-        frame.set_lights(light_frames)
-        passes = self._passes(light_frames)
+        for frame in {id(frame): frame for frame in (self._frame, *self._frames(working))}.values():
+            frame.set_lights(light_frames)
+        passes = self._passes(working, light_frames)
         stale = self._context.records.plan(light_frames, len(passes[0].lights))
-        if self._use_graphs and self._pipeline.recordable and not self._seconding:
-            source = None if depth is None else depth.dtype.__name__
-            triangles, vertices = self._scene.triangle_count, self._scene.vertex_count
-            key = (source, frame.count, frame.width, triangles, vertices, self.front_face_culling, stale)
-            with self.stages.stage("graph"), self.stages.paused():
-                self._graphs.run(key, lambda: self._launch(passes, depth))
-        else:
-            self._launch(passes, depth)
-        further = self._finish_overflow(passes)
+        self._launch(working, passes, source, stale)
+        further = sum(share.finish_overflow(passes) for share in working)
         with self.stages.stage("download"):
-            states = frame.states_of(0, len(lights)).numpy().reshape(len(lights), frame.count).copy()
-            counters = frame.read_counters()
+            states = np.empty((len(lights), sum(share.frame.count for share in working)), np.uint8)
+            for share in working:
+                share.copy_states(len(lights), states)
+            counters = self._read_counters(working)
         counters["triangles"] = self._scene.triangle_count
         counters["degenerate"], counters["culled"] = self._context.records.silent(len(lights) - 1)
         counters["overflow_passes"] = further + counters.pop("overflows")
-        self._pipeline.learn(counters)
-        return Traced(states, self.stages.read(), counters)
+        return Traced(states, self._read_stages(working), counters)
 
-    def _passes(self, light_frames: Sequence[light_frame.LightFrame]) -> list[Pass]:
+    def _read_counters(self, working: Sequence[Share]) -> dict[str, int]:
+        total: dict[str, int] = {}
+        for share in working:
+            counters = share.frame.read_counters()
+            share.pipeline.learn(counters)
+            total = soft.add_up(total, counters)
+        return total
+
+    def _read_stages(self, working: Sequence[Share]) -> dict[str, float]:
+        """Of shares that worked side by side, the times of the slowest."""
+        own = self.stages.read()
+        if len(working) == 1 and working[0].stages is self.stages:
+            return own
+        slowest = max((share.stages.read() for share in working), key=lambda times: sum(times.values()))
+        return {name: own[name] for name in own if name != "download"} | slowest | {"download": own["download"]}
+
+    def _passes(self, working: Sequence[Share], light_frames: Sequence[light_frame.LightFrame]) -> list[Pass]:
         """As many lights together as the pipeline takes and as there is room for."""
         together = min(
             self._pipeline.lights_together,
             len(light_frames),
-            self.bounds.max_rays // max(self._frame.count, 1),
+            *(share.frame.bounds.max_rays // max(share.frame.count, 1) for share in working),
             self._context.records.room(),
         )
         return [Pass(tuple(light_frames[first : first + together])) for first in range(0, len(light_frames), together)]
 
-    def _launch(self, passes: Sequence[Pass], depth: wp.array | None) -> None:
+    def _launch(self, working: list[Share], passes: Sequence[Pass], source: Any, stale: Hashable) -> None:
         """Everything of a frame between upload and download, further passes aside."""
-        frame = self._frame
-        frame.counters.zero_()
-        frame.queue_counts.zero_()
-        frame.parts.zero_()
-        if depth is not None:
-            with self.stages.stage("unproject"):
-                unproject.unproject_image(depth, frame)
+        first = working[0]
+        if self._use_graphs and first.pipeline.recordable:
+            frame, scene = first.frame, self._scene
+            kind = None if source is None else np.dtype(source).name
+            key = (kind, frame.count, frame.width, scene.triangle_count, scene.vertex_count)
+            with self.stages.stage("graph"), self.stages.paused():
+                self._graphs.run((*key, self.front_face_culling, stale), lambda: self._one(first, passes, source))
+        elif len(working) == 1:
+            self._one(first, passes, source)
+        else:
+            self._side_by_side(working, passes, source)
+
+    def _one(self, share: Share, passes: Sequence[Pass], source: Any) -> None:
+        share.begin(None if source is None else _depth_of(share.frame, source))
         for work in passes:
-            self._project(work, projection.FIRST_TIME)
-            self._attempt(work)
+            share.project(work)
+            share.prepare(work)
+            share.trace(work)
 
-    def _project(self, work: Pass, again: int) -> None:
-        with self.stages.stage("project"):
-            for place, light in enumerate(work.lights):
-                projection.project(self._frame, light.number, place, again)
+    def _side_by_side(self, working: Sequence[Share], passes: Sequence[Pass], source: Any) -> None:
+        for number, work in enumerate(passes):
+            working[0].prepare(work)
 
-    def _attempt(self, work: Pass) -> None:
-        if self._scene.triangle_count == 0:
-            return
-        frame = self._frame
-        self._pipeline.trace(work)
-        threads = 1 if self.device.is_cpu else min(_RESOLVERS_CUDA, self.bounds.queue_capacity)
-        with self.stages.stage("resolve"):
-            wp.launch(
-                shadow_test.resolve_queue,
-                dim=threads,
-                inputs=[
-                    frame.lights_from(work.first),
-                    frame.count,
-                    threads,
-                    frame.queue,
-                    frame.queue_count_of[work.first],
-                    frame.samples,
-                    self._scene.vertices,
-                    self._scene.triangles,
-                    frame.states_of(work.first, len(work.lights)),
-                    frame.counters,
-                ],
-                device=self.device,
-            )
+            def job(share: Share, work: Pass = work, begin: bool = number == 0) -> None:
+                if begin:
+                    share.begin(None if source is None else _depth_of(share.frame, source))
+                share.project(work)
+                share.trace(work)
 
-    def _finish_overflow(self, passes: Sequence[Pass]) -> int:
-        """Further passes for lights whose queue overflowed, or whose pipeline had more work than its lists hold. Only
-        here the host waits for the device before the result."""
-        further = 0
-        queued, parts = self._frame.queue_counts.numpy().copy(), self._frame.parts.numpy().copy()
-        for work in passes:
-            in_parts = parts[work.first] > 1
-            if not in_parts and queued[work.first] <= self.bounds.queue_capacity:
-                continue
-            # The rays of another pass lie where those of this one lay. All of them again if some have not been shown
-            # all triangles, else those that wait.
-            self._context.records.plan(work.lights, len(passes[0].lights))
-            attempt = 0 if in_parts else 1
-            self._project(work, projection.ONCE_MORE if in_parts else projection.PENDING_RAYS)
-            unfinished = True
-            while unfinished:
-                unfinished, done = self._all_parts(work, attempt)
-                attempt = min(attempt + 1, 2)
-                further += done
-        return further
+            jobs = [partial(job, share) for share in working]
+            # Warp loads kernels when they are first launched, and not in two threads at once.
+            kernels = (*self._team[0].names, None if source is None else np.dtype(source).name)
+            if kernels in self._loaded or not self._scene.triangle_count:
+                self._workers.run(jobs)
+            else:
+                for one in jobs:
+                    one()
+                self._loaded.add(kernels)
 
-    def _all_parts(self, work: Pass, attempt: int) -> tuple[bool, int]:
-        """An attempt, in as many parts as it takes; returns whether rays are left over, and the number of parts."""
-        frame = self._frame
-        frame.parts_of[work.first].zero_()
-        frame.deferred.zero_()
-        overflowed, part, parts = False, 0, 1
-        while part < parts:
-            frame.queue_count_of[work.first].zero_()
-            self._attempt(replace(work, attempt=attempt, part=part))
-            overflowed |= int(frame.queue_count_of[work.first].numpy()[0]) > self.bounds.queue_capacity
-            parts = int(frame.parts_of[work.first].numpy()[0])
-            part += 1
-        return overflowed or bool(frame.deferred.numpy()[0]), part
+
+def _shares(device: Any, bounds: Bounds, threads: int, graphs: bool) -> int:
+    """How many shares of the rays there are to be."""
+    if not device.is_cpu or graphs or bounds.max_rays < _LEAST * threads or bounds.queue_capacity < threads:
+        return 1
+    return threads
+
+
+def _depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
+    return frame.depth_metres if np.dtype(kind) == np.float32 else frame.depth_millimetres
+
+
+def _even_cuts(count: int, shares: int) -> list[tuple[int, int]]:
+    """First and end of each share of ``count`` samples."""
+    ends = [count * number // shares for number in range(shares + 1)]
+    return list(zip(ends[:-1], ends[1:], strict=True))
+
+
+def _cuts(depth: np.ndarray, working: Sequence[Share]) -> list[tuple[int, int]]:
+    """First pixel and end of each share: bands of the image with about as many measurements each, as far as there is
+    room."""
+    shares, size = len(working), depth.size
+    if shares == 1:
+        return [(0, size)]
+    step = max(1, min(depth.shape) // 64)
+    seen = depth[::step, ::step]
+    measured = np.cumsum(((seen > 0) & np.isfinite(seen)).sum(axis=1) + 0.1 * seen.shape[1])
+    rows = np.searchsorted(measured, measured[-1] * np.arange(1, shares) / shares) * step
+    room = working[0].frame.bounds.max_rays
+    ends = [0]
+    for number, row in enumerate(rows, start=1):
+        end = int(row) * depth.shape[1]
+        # Neither this share nor those that follow may get more than they have room for.
+        end = max(min(end, ends[-1] + room), size - (shares - number) * room, ends[-1])
+        ends.append(end)
+    ends.append(size)
+    return list(zip(ends[:-1], ends[1:], strict=True))
 
 
 def _depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:

@@ -289,14 +289,17 @@ class MeshBvh:
             self._fresh_tests = None
             self._worn_out = False
 
+    def prepare(self, work: Pass) -> None:
+        """Records of the light."""
+        with self._context.stages.stage("setup"):
+            self._context.records.prepare(work.light)
+
     def trace(self, work: Pass) -> None:
         """Walk every ray of the light through the tree."""
         frame, light, attempt = work.light, work.first, work.attempt
         if self._bvh is None:
             return
         buffers, stages = self._context.frame, self._context.stages
-        with stages.stage("setup"):
-            self._context.records.prepare(frame)
         with stages.stage("trace"):
             wp.launch(
                 walk,

@@ -13,6 +13,7 @@ class Pinhole:
     """Camera and bias as kernels see them."""
 
     width: wp.int32
+    first: wp.int32  # pixel of the image that the buffers begin with
     fx: wp.float64
     fy: wp.float64
     cx: wp.float64
@@ -24,10 +25,10 @@ class Pinhole:
     bias_quadratic: wp.float64
 
 
-def make_pinhole(camera: Camera, bias: tuple[float, float]) -> Pinhole:
-    """From a camera and the constant [m] and quadratic [1/m] part of the bias."""
+def make_pinhole(camera: Camera, bias: tuple[float, float], first: int = 0) -> Pinhole:
+    """From a camera and the constant [m] and quadratic [1/m] part of the bias, for the pixels from ``first`` on."""
     pinhole = Pinhole()
-    pinhole.width = camera.width
+    pinhole.width, pinhole.first = camera.width, first
     pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy = camera.fx, camera.fy, camera.cx, camera.cy
     rows = [wp.vec4d(*row) for row in camera.camera_to_world[:3]]
     pinhole.row0, pinhole.row1, pinhole.row2 = rows

@@ -30,6 +30,10 @@ class Pipeline(Protocol):
     def lights_together(self) -> int:
         """The most lights of a pass."""
 
+    def prepare(self, work: Pass) -> None:
+        """Make what depends on scene and lights alone, unless it is there. Called before ``trace``, and once for all
+        pipelines that share the rays of a frame."""
+
     def trace(self, work: Pass) -> None:
         """Look for an occluder of every ray of the pass."""
 
@@ -48,6 +52,7 @@ class PipelineEntry:
     module: str
     factory: str
     summary: str
+    side_by_side: tuple[str, ...] = ()  # variants of which several may work at once, each on rays of its own
 
 
 REGISTRY: dict[str, PipelineEntry] = {
@@ -56,6 +61,7 @@ REGISTRY: dict[str, PipelineEntry] = {
         "shadow_tracer.gpu.light_grid.pipeline",
         "make",
         "triangles in tiles of directions around the light, rays sorted into them",
+        ("packed",),
     ),
     "cone_hierarchy": PipelineEntry(
         (
@@ -72,6 +78,7 @@ REGISTRY: dict[str, PipelineEntry] = {
         "shadow_tracer.gpu.cone_hierarchy.pipeline",
         "make",
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
+        ("linear",),
     ),
     "mesh_bvh": PipelineEntry(
         ("refit", "rebuild", "binary"),
@@ -84,6 +91,7 @@ REGISTRY: dict[str, PipelineEntry] = {
         "shadow_tracer.gpu.brute_force",
         "BruteForce",
         "every sample against every triangle: the oracle the others are compared with",
+        ("filtered", "scalar", "float64"),
     ),
 }
 
@@ -107,6 +115,11 @@ def resolve(pipeline: str, variant: str | None) -> tuple[str, str]:
     if variant not in variants:
         raise ValueError(f"variant: expected one of {', '.join(variants)} for pipeline {pipeline}, got {variant!r}")
     return pipeline, variant
+
+
+def side_by_side(pipeline: str, variant: str) -> bool:
+    """Whether several of a variant may work at once, each on rays of its own."""
+    return variant in REGISTRY[pipeline].side_by_side
 
 
 def make_pipeline(name: str, variant: str, context: Context) -> Pipeline:

@@ -5,7 +5,8 @@ scene or the culling has changed."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import warp as wp
 
@@ -74,9 +75,9 @@ class TriangleRecords:
         if not self._stale[frame.number]:
             return False
         self._stale[frame.number] = False
-        place, buffers = self.place(frame.number), self._frame
+        place = self.place(frame.number)
         prepare(
-            buffers.light_frame_of[frame.number],
+            self.light_frame(frame.number),
             self._scene,
             self.of(frame.number),
             self.front_face_culling,
@@ -84,6 +85,11 @@ class TriangleRecords:
             self._culled[place],
         )
         return True
+
+    def light_frame(self, light: int) -> wp.array:
+        """The frame of light number ``light``, as kernels read it."""
+        found: wp.array = self._frame.light_frame_of[light]
+        return found
 
     def of(self, light: int, lights: int = 1) -> wp.array:
         """Records of ``lights`` lights from number ``light`` on, light after light."""
@@ -104,11 +110,20 @@ class TriangleRecords:
         self._made_for.clear()
 
 
+@dataclass
+class Shared:
+    """What pipelines make of a light beside its records, once for all that work on the scene: the ``Corners``."""
+
+    corners: Any = None
+
+
 @dataclass(frozen=True)
 class Context:
-    """What a pipeline works on; shared by all pipelines of a tracer."""
+    """What a pipeline works on. Scene, records and what is shared belong to all pipelines of a tracer; frame and stages
+    to those that work on the same rays."""
 
     frame: FrameBuffers
     scene: SceneBuffers
     records: TriangleRecords
     stages: Stages
+    shared: Shared = field(default_factory=Shared)

@@ -51,8 +51,9 @@ def unproject(
     if not (raw > wp.float64(0.0)) or not wp.isfinite(raw):
         valid[i] = wp.uint8(0)
         return
-    row = i // camera.width
-    local = pixel_sample(camera, wp.float64(i - row * camera.width), wp.float64(row), raw / units_per_metre)
+    pixel = camera.first + i
+    row = pixel // camera.width
+    local = pixel_sample(camera, wp.float64(pixel - row * camera.width), wp.float64(row), raw / units_per_metre)
     p = transform_point(camera.row0, camera.row1, camera.row2, wp.vec3d(local[0], local[1], local[2]))
     largest = wp.float64(LARGEST)
     samples[i] = wp.vec4d(p[0], p[1], p[2], wp.min(local[3], largest))
@@ -80,7 +81,7 @@ _STRETCHES = (
     const int end = count - first < 1024 ? count : first + 1024;
     typedef double Four[4];
     for (int i = first; i < end;) {
-        const int row = i / camera.width, column = i - row * camera.width;
+        const int pixel = camera.first + i, row = pixel / camera.width, column = pixel - row * camera.width;
         const int n = camera.width - column < end - i ? camera.width - column : end - i;
         const double down = (row - camera.cy) / camera.fy;
         const auto* __restrict__ raw = depth.data + i;

@@ -193,7 +193,7 @@ class Core:
             return
         device.error, device.ready_after = outcome.error, outcome.seconds
         device.name, device.pipeline, device.variant = tracer.device, tracer.pipeline, tracer.variant
-        device.reserved = tracer.device_bytes
+        device.reserved, device.threads = tracer.device_bytes, tracer.threads
         logger = self.node.get_logger()
         if outcome.error:
             logger.error(f"{outcome.error}; pipeline {tracer.pipeline} stays in use")

@@ -47,6 +47,7 @@ class DeviceState:
     name: str = "none"
     pipeline: str = ""
     variant: str = ""
+    threads: int = 0
     ready_after: float = 0.0
     reserved: int = 0
     error: str = ""
@@ -160,6 +161,7 @@ class Health:
             "device": device.name,
             "pipeline": device.pipeline or "-",
             "variant": device.variant or "-",
+            "threads": device.threads or "-",
             "ready after [s]": f"{device.ready_after:.2f}" if device.ready_after else "-",
             "reserved [MB]": f"{device.reserved / 1e6:.0f}",
         }

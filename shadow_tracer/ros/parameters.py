@@ -45,6 +45,7 @@ __all__ = [
 
 _BUFFER = "device buffers of this size are allocated once, at start; restart the node to change it"
 _DEVICE = "buffers and kernels live on one device from the start; restart the node to change it"
+_THREADS = "buffers are cut into as many shares at the start; restart the node to change it"
 _FRAME = re.compile(r"(?!/)\S+|")
 _DEVICE_NAME = re.compile(r"auto|cpu|cuda:\d+")
 _LIGHT_NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")
@@ -68,6 +69,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("device", STRING, "auto",
               "Where kernels run; auto takes the first CUDA device, or the CPU if there is none.",
               pattern=_DEVICE_NAME, pattern_text="auto, cpu, cuda:N", read_only=_DEVICE),
+    Parameter("threads", INTEGER, 0,
+              "How many cores of the CPU a frame may keep busy; 0 is all that the node may use, at most 8.",
+              low=0, high=64, read_only=_THREADS),
     Parameter("fixed_frame", STRING, "",
               "World frame of meshes and lights. Empty: with pose_source tf the world is the optical frame of the "
               "depth image and needs no tf; with the other sources it is the frame their poses are given in.",

@@ -70,6 +70,7 @@ class Settings:
     pipeline: str
     variant: str
     device: str
+    threads: int
     fixed_frame: str
     pose_source: str
     camera_pose: tuple[float, ...]

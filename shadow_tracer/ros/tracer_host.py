@@ -82,6 +82,7 @@ class TracerHost:
                 variant=settings.variant or None,
                 device=settings.tracer_device,
                 bounds=settings.bounds,
+                threads=settings.threads or None,
             )
             tracer.warm_up()
             if settings.verify_every:
@@ -157,8 +158,8 @@ class TracerHost:
         return self._tracer
 
     def _submit(self, job: _Job) -> None:
-        # The last wish for a pipeline counts; every self-test gets its answer. A start has the settings of now, and what
-        # was wished before there was a tracer is in them.
+        # The last wish for a pipeline counts; every self-test gets its answer. A start has the settings of now: what
+        # was wished before is in them.
         if job.name == "start":
             self._waiting.clear()
         elif job.name != "self-test":

@@ -270,9 +270,11 @@ def test_every_topic_takes_qos_overrides() -> None:
         names = {
             name.split(".")[1] for name in rig.node.list_parameters([], 0).names if name.startswith("qos_overrides.")
         }
-    inputs = {"/depth/image_rect", "/depth/camera_info", "/mesh", "/camera_pose"}
-    outputs = {f"/shadow_tracer/{name}" for name in ("mask", "mask/lamp", "camera_info", "timing")}
-    assert names >= inputs | outputs | {"/diagnostics"}
+    inputs = {"depth/image_rect", "depth/camera_info", "camera_pose", "query", "shadow_tracer/lights/lamp/pose"}
+    inputs |= {"mesh", "mesh_markers", "mesh_marker", "mesh_cloud"}
+    outputs = {"mask", "mask/lamp", "light_bits", "overlay", "camera_info", "timing", "query/visibility"}
+    topics = {*inputs, *(f"shadow_tracer/{name}" for name in outputs), "diagnostics"}
+    assert {name for name in names if name not in ("/tf", "/tf_static")} >= {f"/{topic}" for topic in topics}
 
 
 def test_integers_and_yaml_style_values_are_taken_at_start() -> None:
@@ -386,6 +388,13 @@ def test_device() -> None:
             rig.until(lambda: False, 20.0)
 
 
+def test_threads() -> None:
+    for threads in (1, 2):
+        with Rig({"threads": threads, "bounds.max_rays": 2 * 16384}) as rig:
+            rig.until(lambda expected=str(threads): rig.value(DEVICE, "threads") == expected)
+            assert rig.set(threads=3).startswith("threads is read-only")
+
+
 @pytest.mark.parametrize(
     ("bound", "value", "status", "text"),
     [
@@ -429,6 +438,7 @@ SHOWN_BELOW = {
     "pipeline": test_pipeline_and_variant,
     "variant": test_pipeline_and_variant,
     "device": test_device,
+    "threads": test_threads,
     "tf_timeout": test_tf_timeout,
     "camera_info_policy": test_camera_info_policy,
     "mask.publish": test_mask_publish,

@@ -35,6 +35,8 @@ BAD = [
     ("variant", "float64", "variant: expected one of packed, packed_scalar, spherical"),
     ("device", "gpu", "device: expected string (auto, cpu, cuda:N), got 'gpu'"),
     ("device", "cuda", "device: expected string"),
+    ("threads", -1, "threads: expected integer (0 to 64), got -1"),
+    ("threads", 1.5, "threads: expected integer"),
     ("fixed_frame", "/map", 'fixed_frame: expected string (a tf frame without leading "/"'),
     ("fixed_frame", "my map", "fixed_frame: expected string"),
     ("fixed_frame", 1, "fixed_frame: expected string"),

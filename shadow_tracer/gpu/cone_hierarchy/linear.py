@@ -27,7 +27,7 @@ class LinearHierarchy:
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
         self._participants = Participants(context)
-        self._corners = Corners(context)
+        self._corners = Corners.shared(context)
         self._wide = context.frame.device.is_cpu and variant == "linear"
         self._order = RayOrder(context, self._participants, hilbert=False, packed=self._wide)
         self.recordable = not self._wide
@@ -39,13 +39,15 @@ class LinearHierarchy:
     def update(self, change: Change) -> None:
         """Nothing is kept of the scene."""
 
+    def prepare(self, work: Pass) -> None:
+        """Records and corners of the light."""
+        with self._context.stages.stage("setup"):
+            if self._context.records.prepare(work.light):
+                self._corners.make(work.light)
+
     def trace(self, work: Pass) -> None:
         """Build the tree of the light's rays and send all triangles through it."""
-        frame, light = work.light, work.first
-        stages = self._context.stages
-        with stages.stage("setup"):
-            if self._context.records.prepare(frame):
-                self._corners.make(frame)
+        light, stages = work.first, self._context.stages
         with stages.stage("sort"):
             self._participants.choose(work)
             self._order.sort(light)
@@ -80,5 +82,5 @@ class LinearHierarchy:
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        parts = (self._participants, self._order, self._corners, self._buffers)
+        parts = (self._participants, self._order, self._buffers)
         return sum(part.nbytes() for part in parts) + int(self._big.capacity + self._big_count.capacity)

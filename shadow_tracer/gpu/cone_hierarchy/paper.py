@@ -75,7 +75,7 @@ class PaperHierarchy:
         device = frame.device
         self._participants = Participants(context)
         self._order = RayOrder(context, self._participants, hilbert=True) if recipe.ordered else None
-        self._corners = Corners(context)
+        self._corners = Corners.shared(context)
         self._cones = ConeTree(context)
         self._traversal = BreadthFirst(context, self._cones.capacity_levels, recipe.accept)
         self._large = LargeOccluders(frame.bounds.max_triangles if recipe.two_pass else 1, device)
@@ -94,14 +94,18 @@ class PaperHierarchy:
     def update(self, change: Change) -> None:
         """Nothing is kept between frames."""
 
+    def prepare(self, work: Pass) -> None:
+        """Records and corners of the light."""
+        with self._context.stages.stage("setup"):
+            if self._context.records.prepare(work.light):
+                self._corners.make(work.light)
+
     def trace(self, work: Pass) -> None:
         """Make the tree over the rays of the light and send the triangles through it."""
         frame, light = work.light, work.first
         context, recipe = self._context, self._recipe
         scene, stages = context.scene, context.stages
         with stages.stage("setup"):
-            if context.records.prepare(frame):
-                self._corners.make(frame)
             self._triangles.space = make_light_space(frame)
             self._triangles.corners = self._corners.of(light)
             self._triangles.records = context.records.of(light)
@@ -121,7 +125,7 @@ class PaperHierarchy:
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        parts = (self._participants, self._corners, self._cones, self._traversal, self._large)
+        parts = (self._participants, self._cones, self._traversal, self._large)
         return sum(part.nbytes() for part in parts) + (self._order.nbytes() if self._order else 0)
 
     def _pass(self, work: Pass, part: int) -> None:

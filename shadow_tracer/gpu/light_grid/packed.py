@@ -33,7 +33,7 @@ class PackedGrid:
         self._context = context
         self.lights_together = context.frame.bounds.max_lights
         self._participants = Participants(context)
-        self._corners = Corners(context)
+        self._corners = Corners.shared(context)
         self._buffers = TileBuffers(context.frame)
         wide = context.frame.device.is_cpu and variant == "packed"
         self._way: _Wide | _Scalar = (_Wide if wide else _Scalar)(context, self._buffers)
@@ -42,15 +42,18 @@ class PackedGrid:
     def update(self, change: Change) -> None:
         """Nothing is kept of the scene but what the shared buffers keep."""
 
+    def prepare(self, work: Pass) -> None:
+        """Records and corners of the lights."""
+        with self._context.stages.stage("setup"):
+            for light in work.lights:
+                if self._context.records.prepare(light):
+                    self._corners.make(light)
+
     def trace(self, work: Pass) -> None:
         """Pack the rays of the pass, sort the triangles into their tiles, test."""
         context, count = self._context, len(work.lights)
         stages, tiles = context.stages, self._buffers.tiles
         tiles.lights, tiles.samples = count, context.frame.count
-        with stages.stage("setup"):
-            for light in work.lights:
-                if context.records.prepare(light):
-                    self._corners.make(light)
         if work.part == 0:
             with stages.stage("pack"):
                 self._participants.choose(work)
@@ -70,7 +73,7 @@ class PackedGrid:
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return sum(part.nbytes() for part in (self._participants, self._corners, self._buffers, self._way))
+        return sum(part.nbytes() for part in (self._participants, self._buffers, self._way))
 
 
 class _Wide:

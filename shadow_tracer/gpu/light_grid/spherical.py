@@ -104,19 +104,22 @@ class SphericalGrid:
         self._context = context
         self.recordable = not context.frame.device.is_cpu if fixed is None else fixed
         self._participants = Participants(context)
-        self._corners = Corners(context)
+        self._corners = Corners.shared(context)
         self.rays = TiledRays(context, self._participants, rays_per_tile, cells, threshold)
         self.lists = CellLists(context, self.rays, cells, self.recordable)
 
     def update(self, change: Change) -> None:
         """Nothing is kept of the scene."""
 
+    def prepare(self, work: Pass) -> None:
+        """Records and corners of the light."""
+        with self._context.stages.stage("setup"):
+            if self._context.records.prepare(work.light):
+                self._corners.make(work.light)
+
     def trace(self, work: Pass) -> None:
         """Sort rays and triangles into the grid and test what meets there."""
-        frame, stages, light = work.light, self._context.stages, work.first
-        with stages.stage("setup"):
-            if self._context.records.prepare(frame):
-                self._corners.make(frame)
+        stages, light = self._context.stages, work.first
         occluders = Occluders()
         occluders.count = self._context.scene.triangle_count
         occluders.triangles = self._context.scene.triangles
@@ -148,4 +151,4 @@ class SphericalGrid:
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return self._participants.nbytes() + self._corners.nbytes() + self.rays.nbytes() + self.lists.nbytes()
+        return self._participants.nbytes() + self.rays.nbytes() + self.lists.nbytes()

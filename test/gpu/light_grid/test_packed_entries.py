@@ -24,7 +24,12 @@ _forms = pytest.mark.parametrize("variant", packed_grid.VARIANTS)
 def _tracer(device: str, variant: str, graphs: bool = False, **capacities: int) -> ShadowTracer:
     bounds = {"max_triangles": 4_000, "max_rays": 10_000, "max_lights": 5, "queue_capacity": 4_000}
     return ShadowTracer(
-        "light_grid", variant, device, Bounds(**{**bounds, "grid_entries": 100_000, **capacities}), graphs=graphs
+        "light_grid",
+        variant,
+        device,
+        Bounds(**{**bounds, "grid_entries": 100_000, **capacities}),
+        graphs=graphs,
+        threads=1,  # its lists are looked at, and shares have lists of their own
     )
 
 

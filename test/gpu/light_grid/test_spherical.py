@@ -39,7 +39,7 @@ def _tracer(device: str, graphs: bool | None = False, bounds: dict[str, int] | N
     }
     tracer = ShadowTracer("light_grid", "spherical", device, Bounds(**{**limits, **(bounds or {})}), graphs=graphs)
     engine: Any = tracer._engine
-    engine._pipeline = spherical.SphericalGrid(engine._context, **settings)
+    engine._team[0].pipeline = spherical.SphericalGrid(engine._context, **settings)
     return tracer
 
 

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rays of a frame, all or a share of them, and a pipeline of their own: from depth to states.
+
+Several shares work side by side (``workers.py``). What they have in common, the scene and what is made of it for a
+light, is made before and only read; everything they write is their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from shadow_tracer.gpu import projection, shadow_test, unproject
+from shadow_tracer.gpu.buffers import Change, FrameBuffers
+from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.pipelines import Pipeline, make_pipeline
+from shadow_tracer.gpu.stages import Stages
+from shadow_tracer.gpu.triangles import Context
+
+# Threads that share the queue: enough to fill a GPU, and one on the CPU where threads run one after the other.
+_RESOLVERS_CUDA = 65536
+
+
+class Share:
+    """Rays and who finds their occluders.
+
+    Attributes:
+        frame: their buffers.
+        names: pipeline and variant.
+        pipeline: it.
+        news: the worst that has happened to the scene since the pipeline took note.
+    """
+
+    def __init__(self, context: Context, pipeline: str, variant: str) -> None:
+        self.context = context
+        self.frame: FrameBuffers = context.frame
+        self.names = (pipeline, variant)
+        self.pipeline: Pipeline = make_pipeline(pipeline, variant, context)
+        self.news = Change.TOPOLOGY
+
+    @property
+    def stages(self) -> Stages:
+        """Times of the stages."""
+        return self.context.stages
+
+    def take_note(self) -> None:
+        """Tell the pipeline what has happened to the scene."""
+        self.pipeline.update(self.news)
+        self.news = Change.NOTHING
+
+    def begin(self, depth: wp.array | None) -> None:
+        """Counters to zero; samples from a depth image if there is one."""
+        frame = self.frame
+        frame.counters.zero_()
+        frame.queue_counts.zero_()
+        frame.parts.zero_()
+        if depth is not None:
+            with self.stages.stage("unproject"):
+                unproject.unproject_image(depth, frame)
+
+    def prepare(self, work: Pass) -> None:
+        """Make what depends on scene and lights alone. It belongs to all shares: one of them does it."""
+        if self.context.scene.triangle_count:
+            self.pipeline.prepare(work)
+
+    def project(self, work: Pass, again: int = projection.FIRST_TIME) -> None:
+        """Rays of the samples."""
+        with self.stages.stage("project"):
+            for place, light in enumerate(work.lights):
+                projection.project(self.frame, light.number, place, again)
+
+    def trace(self, work: Pass) -> None:
+        """Find their occluders, and decide the pairs on the queue."""
+        frame, scene = self.frame, self.context.scene
+        if scene.triangle_count == 0:
+            return
+        self.pipeline.trace(work)
+        threads = 1 if frame.device.is_cpu else min(_RESOLVERS_CUDA, frame.bounds.queue_capacity)
+        with self.stages.stage("resolve"):
+            wp.launch(
+                shadow_test.resolve_queue,
+                dim=threads,
+                inputs=[
+                    frame.lights_from(work.first),
+                    frame.count,
+                    threads,
+                    frame.queue,
+                    frame.queue_count_of[work.first],
+                    frame.samples,
+                    scene.vertices,
+                    scene.triangles,
+                    frame.states_of(work.first, len(work.lights)),
+                    frame.counters,
+                ],
+                device=frame.device,
+            )
+
+    def finish_overflow(self, passes: Sequence[Pass]) -> int:
+        """Further passes for lights whose queue overflowed, or whose pipeline had more work than its lists hold. Only
+        here the host waits for the device before the result."""
+        further = 0
+        queued, parts = self.frame.queue_counts.numpy().copy(), self.frame.parts.numpy().copy()
+        for work in passes:
+            in_parts = parts[work.first] > 1
+            if not in_parts and queued[work.first] <= self.frame.bounds.queue_capacity:
+                continue
+            # The rays of another pass lie where those of this one lay. All of them again if some have not been shown
+            # all triangles, else those that wait.
+            self.context.records.plan(work.lights, len(passes[0].lights))
+            self.prepare(work)
+            attempt = 0 if in_parts else 1
+            self.project(work, projection.ONCE_MORE if in_parts else projection.PENDING_RAYS)
+            unfinished = True
+            while unfinished:
+                unfinished, done = self._all_parts(work, attempt)
+                attempt = min(attempt + 1, 2)
+                further += done
+        return further
+
+    def _all_parts(self, work: Pass, attempt: int) -> tuple[bool, int]:
+        """An attempt, in as many parts as it takes; returns whether rays are left over, and the number of parts."""
+        frame = self.frame
+        frame.parts_of[work.first].zero_()
+        frame.deferred.zero_()
+        overflowed, part, parts = False, 0, 1
+        while part < parts:
+            frame.queue_count_of[work.first].zero_()
+            self.trace(replace(work, attempt=attempt, part=part))
+            overflowed |= int(frame.queue_count_of[work.first].numpy()[0]) > frame.bounds.queue_capacity
+            parts = int(frame.parts_of[work.first].numpy()[0])
+            part += 1
+        return overflowed or bool(frame.deferred.numpy()[0]), part
+
+    def copy_states(self, lights: int, into: npt.NDArray[np.uint8]) -> None:
+        """Copy the states for ``lights`` lights into their columns of (L, N) ``into``."""
+        frame = self.frame
+        states = frame.states_of(0, lights).numpy().reshape(lights, frame.count)
+        into[:, frame.first : frame.first + frame.count] = states
