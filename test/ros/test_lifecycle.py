@@ -205,6 +205,23 @@ def test_cleaning_up_waits_for_what_runs(rig: Rig, monkeypatch: pytest.MonkeyPat
     assert state(rig) == State.PRIMARY_STATE_UNCONFIGURED
 
 
+def test_an_activation_that_fails_midway_leaves_nothing_behind(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Back to unconfigured, from where it can be tried again."""
+
+    def broken(*_: Any) -> None:
+        raise OSError("the disk is gone")
+
+    assert change(rig, Transition.TRANSITION_CONFIGURE)
+    monkeypatch.setattr(rig.core.inputs.meshes, "load_files", broken)
+    assert not change(rig, Transition.TRANSITION_ACTIVATE)
+    assert state(rig) == State.PRIMARY_STATE_UNCONFIGURED and rig.core.host.made is None
+    rig.until(lambda: not listening(rig))
+    monkeypatch.undo()
+    assert change(rig, Transition.TRANSITION_CONFIGURE)
+    activate(rig)
+    rig.trace(wall())
+
+
 def test_files_are_read_when_it_becomes_active(tmp_path: Any) -> None:
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "a.ply"
