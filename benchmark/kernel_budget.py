@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a kernel may take of a GPU's multiprocessor (sm_90), and which kernels may take more, and why.
+
+A multiprocessor has 65,536 registers and runs at most 2,048 threads. With 64 registers a thread, 1,024 of them run at
+once; with 128 half as many, and so on: fewer threads hide less of the memory's latency. The local frame is memory of a
+thread's own: arrays that are indexed at run time, and registers that did not fit. Every kernel of Warp has 2 KB of
+shared memory: 1 KB that CUDA reserves for each block, 1 KB for the allocator of Warp's tiles.
+
+The bounds are today's figures and about a tenth: compilers differ. A bound is there to be noticed when it is passed,
+and may be raised by whoever writes down why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Upper bounds: registers per thread, bytes of local frame per thread, bytes of shared memory per block."""
+
+    registers: int = 64
+    frame: int = 0
+    shared: int = 2048
+    reason: str = ""
+
+
+DEFAULT = Budget()
+
+_CPU = "launched on the CPU only; a thread of it is a loop over many elements"
+_EXACT = "expansion arithmetic: arrays of partial sums; few pairs come here"
+_WALK = "a triangle's corners, planes and box live through the walk of the tree"
+_ANGLES = "the paper's variants: sine and cosine of any angle keep 28 B each thread"
+
+# Module (below shadow_tracer.gpu) / kernel.
+EXCEPTIONS = {
+    # One thread takes a run of elements there, in arrays that the CPU keeps in its first cache.
+    "brute_force/test_all_blocks": Budget(64, 9300, reason=_CPU),
+    "sort/sort_pairs_cpu": Budget(64, 16400, reason=_CPU),
+    "participants/admit_blocks": Budget(64, 288, reason=_CPU),
+    "cone_hierarchy.keys/pack_keys": Budget(144, 96, reason=_CPU),
+    "cone_hierarchy.keys/measure_extent_wide": Budget(136, 192, reason=_CPU),
+    "cone_hierarchy.breadth_first/traverse": Budget(128, 48, reason=_CPU),
+    "wide_tree/collapse": Budget(64, 48, reason=_CPU),
+    # The signs of determinants, exactly.
+    "shadow_test/resolve_queue": Budget(112, 848, reason=_EXACT),
+    "brute_force/test_all_float64": Budget(104, 848, reason="the oracle: " + _EXACT),
+    "triangle_setup/prepare_triangles": Budget(136, 720, reason="float64 planes, and " + _EXACT),
+    "light_grid.primary_hit/trace_pixels": Budget(128, 816, reason="decides ties in place: " + _EXACT),
+    # Triangles against tiles, boxes or cones.
+    "light_grid.binning/bin_triangles": Budget(96, 240, reason="a triangle's planes, and bounds indexed by face axis"),
+    "light_grid.binning/bin_items": Budget(96, 240, reason="the same code for pieces of large triangles"),
+    "light_grid.binning/itemise_triangles": Budget(64, 96, reason="the same bounds, to find large triangles only"),
+    "cone_hierarchy.descent/descend_triangles": Budget(88, 144, reason=_WALK),
+    "cone_hierarchy.descent/descend_big": Budget(80, reason=_WALK),
+    "cone_hierarchy.breadth_first/expand": Budget(128, 48, reason=_ANGLES + "; " + _WALK),
+    "cone_hierarchy.cones/build_parents_of_rays": Budget(64, 48, reason=_ANGLES),
+    "cone_hierarchy.cones/build_level": Budget(64, 48, reason=_ANGLES),
+    "light_grid.spherical_cells/cover_tiles": Budget(80, 48, reason=_ANGLES),
+    "light_grid.spherical_rays/place_tiles": Budget(64, 48, reason=_ANGLES),
+    # Rays through the tree of triangles: a stack of 64 nodes, and the pairs to be decided exactly.
+    "mesh_bvh/walk": Budget(72, 336, reason="a stack of 64 nodes, and up to five uncertain triangles"),
+    # Float64 per pixel.
+    "projection/project_samples": Budget(96, reason="float64: a light's frame and the sample in it"),
+    "unproject/unproject": Budget(80, reason="float64: the camera's pose and the sample"),
+}
+
+
+def budget(name: str) -> Budget:
+    """The budget of ``module/kernel``."""
+    return EXCEPTIONS.get(name, DEFAULT)
