@@ -12,21 +12,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from shadow_tracer.ros.parameters import markdown_table
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
-PAGES = [README, ROOT / "CONTRIBUTING.md", ROOT / "benchmark" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+OTHERS = [ROOT / "CONTRIBUTING.md", ROOT / "QUALITY_DECLARATION.md", ROOT / "benchmark" / "README.md"]
+PAGES = [README, *OTHERS, *sorted((ROOT / "docs").glob("*.md"))]
 IDS = [page.relative_to(ROOT).as_posix() for page in PAGES]
-FOR_USERS = [README, ROOT / "docs" / "node.md", ROOT / "docs" / "troubleshooting.md"]
+FOR_USERS = [README, *(ROOT / "docs" / f"{name}.md" for name in ("node", "troubleshooting", "integration"))]
 
 _BLOCK = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.MULTILINE)
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 _CODE = re.compile(r"`([^`\n]+)`")
 _RESULT = "  # -> "
 # Files that programs or users make; the pages speak of them, no checkout has them.
-_MADE = {"demo_output/", "my.yaml", "install/setup.bash", "dist/", "contact_sheet.png", "large_images.xml"}
+_MADE = {"demo_output/", "my.yaml", "install/setup.bash", "dist/", "contact_sheet.png", "reliable.yaml"}
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -84,6 +86,15 @@ def test_the_code_for_the_node_gives_what_its_comments_say(ros: Any) -> None:
         assert came == promised
 
 
+@pytest.mark.parametrize("page", PAGES, ids=IDS)
+def test_code_compiles(page: Path) -> None:
+    for language in ("python", "python ros"):
+        for code in blocks(page, language):
+            compile(code, page.name, "exec")
+    for code in blocks(page, "yaml"):
+        yaml.safe_load(code)
+
+
 def test_the_parameter_table_is_the_one_the_code_prints() -> None:
     text = README.read_text(encoding="utf-8")
     found = re.search(r"^<!-- parameters: begin.*?-->\n(.*)^<!-- parameters: end -->$", text, re.DOTALL | re.MULTILINE)
@@ -92,7 +103,7 @@ def test_the_parameter_table_is_the_one_the_code_prints() -> None:
 
 
 def topics_in_the_readme(heading: str) -> dict[str, str]:
-    """Name -> package/Type of the table under a heading."""
+    """Name -> package/Type of the table of topics or services under a heading."""
     section = re.search(rf"^### {heading}\n(.*?)^#", README.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
     assert section, f"README.md has no section {heading!r}"
     return dict(re.findall(r"^\| `([^`]+)` \| ([\w/]+)", section.group(1), re.MULTILINE))
@@ -104,24 +115,26 @@ def topics_of(listed: list[tuple[str, list[str]]]) -> dict[str, str]:
     for name, (kind, *_) in listed:
         if name in ("/rosout", "/parameter_events", "/clock"):
             continue
-        for start, short in (("/shadow_tracer/mask/lamp", "~/mask/<light>"), ("/shadow_tracer/", "~/")):
-            if name.startswith(start):
-                name = short + name[len(start) :]
-                break
-        topics[name] = kind.replace("/msg/", "/")
+        name = name.replace("/mask/lamp", "/mask/<light>").replace("/lights/lamp/", "/lights/<light>/")
+        topics[re.sub("^/shadow_tracer/", "~/", name)] = re.sub("/(msg|srv)/", "/", kind)
     return topics
 
 
 @pytest.mark.ros
-def test_the_topic_tables_are_the_topics_of_the_node(ros: Any) -> None:
+def test_the_tables_are_the_topics_and_services_of_the_node(ros: Any) -> None:
     from harness import Rig
 
     with Rig() as rig:
         assert rig.node
         inputs = topics_of(rig.friend.get_subscriber_names_and_types_by_node("shadow_tracer", "/"))
         outputs = topics_of(rig.friend.get_publisher_names_and_types_by_node("shadow_tracer", "/"))
-    assert {f"/{name}": kind for name, kind in topics_in_the_readme("Topics in").items()} == inputs
+        services = topics_of(rig.friend.get_service_names_and_types_by_node("shadow_tracer", "/"))
+    wanted = topics_in_the_readme("Topics in")
+    assert {name if name.startswith("~") else f"/{name}": kind for name, kind in wanted.items()} == inputs
     assert topics_in_the_readme("Topics out") == outputs
+    assert topics_in_the_readme("Services") == {
+        name: kind for name, kind in services.items() if not kind.startswith(("rcl_interfaces/", "type_description_"))
+    }
 
 
 @pytest.mark.parametrize("page", PAGES, ids=IDS)

@@ -56,7 +56,8 @@ def judge_depth(inputs: Inputs, settings: Settings, warning: str, busy_ms: float
         return WARN, f"no depth image for {age:.0f} s on {topic}; {hint}", values
     if lost > _MUCH:
         return WARN, f"{100 * lost:.0f} % of the images sent at {sent:.1f} Hz are lost; {_loss_hint(inputs)}", values
-    if warning:
+    # Drivers send a rectified image with the distortion of the raw one beside it: by its name it is rectified.
+    if warning and "rect" not in topic.rpartition("/")[2]:
         return WARN, warning, values
     return OK, f"{inputs.depth_format} at {rate:.1f} Hz", values
 

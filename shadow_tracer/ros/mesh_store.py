@@ -28,8 +28,12 @@ class PartError(ValueError):
     """Something that was received cannot be used; the text starts with the field. Nothing of it was kept."""
 
 
+_IDENTITY = np.eye(4)
+_IDENTITY.setflags(write=False)
+
+
 def _identity() -> FloatArray:
-    return np.eye(4)
+    return _IDENTITY
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +122,7 @@ class MeshStore:
         self._parts: dict[str, Part] = {}
         self._received: dict[str, int] = {}
         self._shown: dict[str, Part] = {}
+        self._at: dict[str, FloatArray] = {}  # where those shown are
         self._fixed: dict[str, tuple[Part, str, FloatArray]] = {}
 
     @property
@@ -216,7 +221,7 @@ class MeshStore:
         for key in self._shown.keys() - wanted.keys():
             if key in scene:
                 scene.remove(key)
-            del self._shown[key]
+            del self._shown[key], self._at[key]
         self._fixed = {key: value for key, value in self._fixed.items() if key in self._parts}
 
         def growth(part: Part) -> int:
@@ -263,14 +268,16 @@ class MeshStore:
             else:
                 scene.deform(part.key, part.vertices)
                 self.updates["deform"] += 1
-        revision = scene[part.key].pose_revision
-        scene.move(part.key, pose)
-        self.updates["move"] += scene[part.key].pose_revision != revision
-        self._shown[part.key] = part
+        at = self._at.get(part.key)
+        if there and (at is None or not (pose is at or np.array_equal(pose, at))):  # a check that many parts pass by
+            revision = scene[part.key].pose_revision
+            scene.move(part.key, pose)
+            self.updates["move"] += scene[part.key].pose_revision != revision
+        self._shown[part.key], self._at[part.key] = part, pose
 
 
 def _product(frame: FloatArray, pose: FloatArray) -> FloatArray:
     # The identity leaves the other as it is, bit by bit; it is the usual case.
-    if np.array_equal(frame, np.eye(4)):
+    if (frame == _IDENTITY).all():
         return pose
-    return frame if np.array_equal(pose, np.eye(4)) else frame @ pose
+    return frame if (pose == _IDENTITY).all() else frame @ pose

@@ -131,6 +131,7 @@ class Scene:
     def __init__(self, bounds: Bounds | None = None) -> None:
         self.bounds = bounds or Bounds()
         self._meshes: dict[str, Mesh] = {}
+        self._triangle_count = self._vertex_count = 0
         self._revision = next(_serial)
 
     @property
@@ -146,12 +147,12 @@ class Scene:
     @property
     def triangle_count(self) -> int:
         """Triangles of all meshes, degenerate ones included."""
-        return sum(len(mesh.triangles) for mesh in self._meshes.values())
+        return self._triangle_count
 
     @property
     def vertex_count(self) -> int:
         """Vertices of all meshes."""
-        return sum(len(mesh.vertices) for mesh in self._meshes.values())
+        return self._vertex_count
 
     def __contains__(self, name: object) -> bool:
         return name in self._meshes
@@ -199,7 +200,9 @@ class Scene:
                 old.pose = new_pose
                 old.pose_revision = next(_serial)
         else:
-            self._meshes[name] = Mesh(name, new_vertices, new_triangles, new_pose)
+            self._count(old, -1)
+            self._meshes[name] = mesh = Mesh(name, new_vertices, new_triangles, new_pose)
+            self._count(mesh, 1)
         self._revision = next(_serial)
         return self._meshes[name]
 
@@ -240,18 +243,25 @@ class Scene:
         """Remove a mesh. Raises ValueError if there is none of that name."""
         mesh = self[name]
         del self._meshes[mesh.name]
+        self._count(mesh, -1)
         self._revision = next(_serial)
 
     def clear(self) -> None:
         """Remove every mesh."""
         if self._meshes:
             self._meshes.clear()
+            self._triangle_count = self._vertex_count = 0
             self._revision = next(_serial)
 
+    def _count(self, mesh: Mesh | None, sign: int) -> None:
+        if mesh is not None:
+            self._triangle_count += sign * len(mesh.triangles)
+            self._vertex_count += sign * len(mesh.vertices)
+
     def _check_capacity(self, name: str, vertex_count: int, triangle_count: int) -> None:
-        others = [mesh for mesh in self._meshes.values() if mesh.name != name]
-        triangles = triangle_count + sum(len(mesh.triangles) for mesh in others)
-        vertices = vertex_count + sum(len(mesh.vertices) for mesh in others)
+        old = self._meshes.get(name)
+        triangles = self._triangle_count + triangle_count - (len(old.triangles) if old else 0)
+        vertices = self._vertex_count + vertex_count - (len(old.vertices) if old else 0)
         limit = self.bounds.max_triangles
         if triangles > limit:
             raise BoundsError(

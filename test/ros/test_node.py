@@ -222,14 +222,22 @@ def test_bad_camera_info_makes_the_mask_unknown(rig: Rig, field: str, value: Any
     rig.wait_status(DEPTH, ERROR, message)
 
 
-def test_distortion_is_traced_with_a_warning(rig: Rig) -> None:
+@pytest.mark.parametrize("name", ["image_rect", "image_rect_raw", "image_raw"])
+def test_distortion_is_traced_with_a_warning_unless_the_name_says_rectified(
+    rig: Rig, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Drivers send a rectified image with the distortion of the raw one in its camera_info."""
+    monkeypatch.setattr(rig.core.inputs, "topic", lambda _: f"/camera/rectangle/{name}")
     stamp = rig.next_stamp()
     info = info_msg(WIDTH, HEIGHT, stamp)
     info.d = [0.2, 0.0, 0.0, 0.0, 0.0]
     rig.info.publish(info)
     rig.depth.publish(image_msg(wall(), stamp))
     assert (rig.mask_of(stamp).ravel()[1:] == 255).all()
-    rig.wait_status(DEPTH, WARN, "must be rectified")
+    if "rect" in name:
+        rig.wait_status(DEPTH, OK)
+    else:
+        rig.wait_status(DEPTH, WARN, "must be rectified")
 
 
 def test_bad_images_are_refused_and_explained(rig: Rig) -> None:
