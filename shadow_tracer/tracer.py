@@ -92,6 +92,12 @@ class ShadowTracer:
         return self._names[1]
 
     @property
+    def choice(self) -> str:
+        """Pipeline ``auto``: which one has traced the last frame, and why; "" for all others."""
+        chooser = self._engine.chooser
+        return chooser.reason if chooser else ""
+
+    @property
     def threads(self) -> int:
         """Cores that a frame may keep busy: 1 on CUDA, with recorded frames, and where bounds are too small to be cut
         into shares."""
@@ -139,7 +145,14 @@ class ShadowTracer:
     def warm_up(self) -> float:
         """Compile or load every kernel by tracing a small scene of its own; returns the seconds it took."""
         begin = time.perf_counter()
-        self._trace_triangle()
+        chooser = self._engine.chooser
+        if chooser is None:
+            self._trace_triangle()
+        else:
+            for names in chooser.candidates:
+                chooser.forced = names
+                self._trace_triangle()
+            self._engine.calibrate()
         return time.perf_counter() - begin
 
     def _trace_triangle(self) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,12 +15,15 @@ import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu import light_frame, soft
-from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
+from shadow_tracer.gpu.buffers import Change, FrameBuffers, SceneBuffers, upload
+from shadow_tracer.gpu.calibration import calibrate
+from shadow_tracer.gpu.chooser import Chooser, Names, Situation
+from shadow_tracer.gpu.cuts import LEAST, even_cuts, image_cuts, share_count
 from shadow_tracer.gpu.graphs import FrameGraphs
 from shadow_tracer.gpu.light_frame import Anchor, make_anchor, make_light_frame
 from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.pinhole import make_pinhole
-from shadow_tracer.gpu.pipelines import Pipeline, side_by_side
+from shadow_tracer.gpu.pipelines import AUTO, Pipeline, side_by_side
 from shadow_tracer.gpu.share import Share
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangles import Context, TriangleRecords
@@ -27,11 +31,8 @@ from shadow_tracer.gpu.workers import Workers
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
-from shadow_tracer.scene.lights import HardLight, Light
+from shadow_tracer.scene.lights import HardLight, Light, SphereLight
 from shadow_tracer.scene.mesh import Scene
-
-# Fewer samples for each thread are not worth it.
-_LEAST = 16384
 
 
 @dataclass(frozen=True)
@@ -60,14 +61,18 @@ class Engine:
         self.stages = Stages(device)
         self._use_graphs = device.is_cuda if graphs is None else graphs
         self._graphs = FrameGraphs(device)
-        self._workers = Workers(_shares(device, bounds, threads, self._use_graphs))
+        self._workers = Workers(share_count(device, bounds, threads, self._use_graphs))
         self._loaded: set[Hashable] = set()
         self._frame = FrameBuffers(bounds, device, self._workers.count)
         self._scene = SceneBuffers(bounds, device)
         self._context = Context(self._frame, self._scene, TriangleRecords(self._frame, self._scene), self.stages)
         self._anchor: Anchor | None = None
+        self._chooser: Chooser | None = None
+        self._teams: dict[Names, list[Share]] = {}
         self._team: list[Share] = []
+        self._lights: tuple[object, ...] = ()
         self._second: Share | None = None
+        self._seconding = False
         self.select(pipeline, variant)
 
     @property
@@ -86,11 +91,44 @@ class Engine:
             self.release_second()
         self._graphs.clear()
         self._context.records.forget()
-        self._team = []
+        self._team, self._teams = [], {}
         if self._second is None:
             self._context.shared.corners = None
-        shares = self._workers.count if side_by_side(pipeline, variant) else 1
-        self._team = [Share(self._part(number, shares), pipeline, variant) for number in range(shares)]
+        self._chooser = Chooser() if pipeline == AUTO else None
+        for names in self._chooser.candidates if self._chooser else [(pipeline, variant)]:
+            shares = self._workers.count if side_by_side(*names) else 1
+            self._teams[names] = [Share(self._part(number, shares), *names) for number in range(shares)]
+        self._team = next(iter(self._teams.values()))
+
+    @property
+    def chooser(self) -> Chooser | None:
+        """Who chooses the pipeline of each frame; None if it is always the same."""
+        return self._chooser
+
+    def calibrate(self) -> None:
+        """Let the chooser see what its candidates take on this device."""
+        if self._chooser is not None:
+            calibrate(self, self._chooser, self.bounds)
+
+    def _choose(self, change: Change, rays: int, lights: Sequence[Light]) -> Situation | None:
+        """Hand the frame to the pipeline that is expected to be the fastest."""
+        if self._chooser is None or self._seconding:
+            return None
+        look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, SphereLight))
+        count = sum(light.samples if isinstance(light, SphereLight) else 1 for light in lights)
+        situation = Situation(int(change), rays, self._scene.triangle_count, count, look != self._lights)
+        self._lights = look
+        team = self._teams[self._chooser.choose(situation)]
+        if team is not self._team:
+            # Each makes its own of a light (corners), and tells by the records whether it has it.
+            self._context.records.forget()
+            self._team = team
+        return situation
+
+    def _learn(self, situation: Situation | None, begin: float) -> None:
+        """Tell the chooser what the frame took."""
+        if situation is not None and self._chooser is not None:
+            self._chooser.learn(self._team[0].names, situation, (time.perf_counter() - begin) * 1e3)
 
     def _part(self, number: int, shares: int) -> Context:
         """The context of a share; the only one works on the whole."""
@@ -121,11 +159,11 @@ class Engine:
         team, second, graphs = self._team, self._second, self._use_graphs
         assert second is not None and second not in team
         self._context.records.forget()
-        self._team, self._use_graphs = [second], False
+        self._team, self._use_graphs, self._seconding = [second], False, True
         try:
             yield
         finally:
-            self._team, self._use_graphs = team, graphs
+            self._team, self._use_graphs, self._seconding = team, graphs, False
             self._context.records.forget()
 
     @property
@@ -139,7 +177,7 @@ class Engine:
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
-        pipelines = [share.pipeline for share in (*self._team, self._second) if share is not None]
+        pipelines = [share.pipeline for share in self._all_shares()]
         corners = self._context.shared.corners
         parts = [self._frame, self._scene, *pipelines, *([corners] if corners is not None else [])]
         return sum(part.nbytes() for part in parts)
@@ -159,17 +197,22 @@ class Engine:
     ) -> Traced:
         """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
         order."""
-        self._reset(depth.size)
-        working = self._working(depth.size)
+        self._reset()
         with self.stages.stage("upload"):
-            self._sync(scene)
+            change = self._sync(scene)
+            situation = self._choose(change, depth.size, lights)
+            begin, working = time.perf_counter(), self._working(depth.size)
             flat = depth.reshape(-1)
-            for frame, (first, end) in zip(self._frames(working), _cuts(depth, working), strict=True):
+            cuts = image_cuts(depth, len(working), working[0].frame.bounds.max_rays)
+            for frame, (first, end) in zip(self._frames(working), cuts, strict=True):
                 frame.set_samples(end - first, camera.width, first)
                 frame.set_camera(make_pinhole(camera, bias, first))
                 upload(_depth_of(frame, depth.dtype), flat[first:end])
         self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
-        return self._trace_all(working, lights, depth.dtype)
+        caught_up = all(share.news == change for share in working)
+        traced = self._trace_all(working, lights, depth.dtype)
+        self._learn(situation if caught_up else None, begin)
+        return traced
 
     def trace_points(
         self,
@@ -181,15 +224,15 @@ class Engine:
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
         is all valid."""
-        self._reset(len(points))
-        working = self._working(len(points))
+        self._reset()
         with self.stages.stage("upload"):
-            self._sync(scene)
+            self._choose(self._sync(scene), len(points), lights)
+            working = self._working(len(points))
             samples = np.empty((len(points), 4))
             samples[:, :3] = points
             samples[:, 3] = bias
             good = (np.ones(len(points), np.bool_) if valid is None else valid).view(np.uint8)
-            for frame, (first, end) in zip(self._frames(working), _even_cuts(len(points), len(working)), strict=True):
+            for frame, (first, end) in zip(self._frames(working), even_cuts(len(points), len(working)), strict=True):
                 frame.set_samples(end - first, 0, first)
                 upload(frame.samples, samples[first:end])
                 upload(frame.valid, good[first:end])
@@ -201,22 +244,27 @@ class Engine:
 
     def _working(self, count: int) -> list[Share]:
         """The shares that so many samples are worth: all, or the first alone."""
-        return self._team if count >= _LEAST * len(self._team) else self._team[:1]
+        return self._team if count >= LEAST * len(self._team) else self._team[:1]
 
     @staticmethod
     def _frames(working: Sequence[Share]) -> list[FrameBuffers]:
         return [share.frame for share in working]
 
-    def _reset(self, count: int) -> None:
-        for stages in {id(share.stages): share.stages for share in self._team}.values():
-            stages.reset()
+    def _reset(self) -> None:
+        for share in self._all_shares():
+            share.stages.reset()
         self.stages.reset()
 
-    def _sync(self, scene: Scene) -> None:
+    def _all_shares(self) -> list[Share]:
+        """Of all pipelines."""
+        shares = [share for team in self._teams.values() for share in team]
+        return [*shares, self._second] if self._second else shares
+
+    def _sync(self, scene: Scene) -> Change:
         change = self._scene.sync(scene)
-        for share in (*self._team, self._second):
-            if share is not None:
-                share.news = max(share.news, change)
+        for share in self._all_shares():
+            share.news = max(share.news, change)
+        return change
 
     def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Any) -> Traced:
         for share in working:
@@ -285,7 +333,7 @@ class Engine:
         if self._use_graphs and first.pipeline.recordable:
             frame, scene = first.frame, self._scene
             kind = None if source is None else np.dtype(source).name
-            key = (kind, frame.count, frame.width, scene.triangle_count, scene.vertex_count)
+            key = (first.names, kind, frame.count, frame.width, scene.triangle_count, scene.vertex_count)
             with self.stages.stage("graph"), self.stages.paused():
                 self._graphs.run((*key, self.front_face_culling, stale), lambda: self._one(first, passes, source))
         elif len(working) == 1:
@@ -321,42 +369,8 @@ class Engine:
                 self._loaded.add(kernels)
 
 
-def _shares(device: Any, bounds: Bounds, threads: int, graphs: bool) -> int:
-    """How many shares of the rays there are to be."""
-    if not device.is_cpu or graphs or bounds.max_rays < _LEAST * threads or bounds.queue_capacity < threads:
-        return 1
-    return threads
-
-
 def _depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
     return frame.depth_metres if np.dtype(kind) == np.float32 else frame.depth_millimetres
-
-
-def _even_cuts(count: int, shares: int) -> list[tuple[int, int]]:
-    """First and end of each share of ``count`` samples."""
-    ends = [count * number // shares for number in range(shares + 1)]
-    return list(zip(ends[:-1], ends[1:], strict=True))
-
-
-def _cuts(depth: np.ndarray, working: Sequence[Share]) -> list[tuple[int, int]]:
-    """First pixel and end of each share: bands of the image with about as many measurements each, as far as there is
-    room."""
-    shares, size = len(working), depth.size
-    if shares == 1:
-        return [(0, size)]
-    step = max(1, min(depth.shape) // 64)
-    seen = depth[::step, ::step]
-    measured = np.cumsum(((seen > 0) & np.isfinite(seen)).sum(axis=1) + 0.1 * seen.shape[1])
-    rows = np.searchsorted(measured, measured[-1] * np.arange(1, shares) / shares) * step
-    room = working[0].frame.bounds.max_rays
-    ends = [0]
-    for number, row in enumerate(rows, start=1):
-        end = int(row) * depth.shape[1]
-        # Neither this share nor those that follow may get more than they have room for.
-        end = max(min(end, ends[-1] + room), size - (shares - number) * room, ends[-1])
-        ends.append(end)
-    ends.append(size)
-    return list(zip(ends[:-1], ends[1:], strict=True))
 
 
 def _depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:

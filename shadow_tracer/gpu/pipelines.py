@@ -55,6 +55,8 @@ class PipelineEntry:
     side_by_side: tuple[str, ...] = ()  # variants of which several may work at once, each on rays of its own
 
 
+AUTO = "auto"
+
 REGISTRY: dict[str, PipelineEntry] = {
     "light_grid": PipelineEntry(
         ("packed", "packed_scalar", "spherical"),
@@ -92,6 +94,12 @@ REGISTRY: dict[str, PipelineEntry] = {
         "BruteForce",
         "every sample against every triangle: the oracle the others are compared with",
         ("filtered", "scalar", "float64"),
+    ),
+    AUTO: PipelineEntry(
+        ("measured",),
+        "shadow_tracer.gpu.chooser",
+        "Chooser",
+        "chooses one of the others for each frame, by what frames have cost on this device",
     ),
 }
 

@@ -212,6 +212,7 @@ class Core:
         answer = self.processor.step(settings, tracer, now, self.now_ns())
         if answer is not None:
             self._publish(answer, settings)
+            self._note_choice(tracer.choice)
         self.queries.step(
             settings, tracer, self.inputs.camera_frame, time.monotonic(), self.now_ns(), self.outputs.visibility.publish
         )
@@ -221,6 +222,13 @@ class Core:
             self._retry.reset()
         else:
             self._retry.cancel()
+
+    def _note_choice(self, choice: str) -> None:
+        """Log when pipeline auto has changed its mind."""
+        device = self.health.device
+        before, device.choice = device.choice, choice
+        if choice.partition(":")[0] != before.partition(":")[0]:
+            self.node.get_logger().info(f"pipeline auto chooses {choice}", throttle_duration_sec=1.0)
 
     def _publish(self, answer: Answer, settings: Settings) -> None:
         image = answer.frame.image

@@ -50,6 +50,7 @@ class DeviceState:
     threads: int = 0
     ready_after: float = 0.0
     reserved: int = 0
+    choice: str = ""
     error: str = ""
 
 
@@ -163,6 +164,7 @@ class Health:
             "variant": device.variant or "-",
             "threads": device.threads or "-",
             "ready after [s]": f"{device.ready_after:.2f}" if device.ready_after else "-",
+            "choice": device.choice or "-",
             "reserved [MB]": f"{device.reserved / 1e6:.0f}",
         }
         if doing is not None:

@@ -63,7 +63,8 @@ _FRAME_TEXT = 'a tf frame without leading "/", or ""'
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("pipeline", STRING, "light_grid",
-              "How shadows are found. All pipelines give the same masks.", allowed=_pipelines()),
+              "How shadows are found; auto chooses for each frame by what frames have cost. All give the same masks.",
+              allowed=_pipelines()),
     Parameter("variant", STRING, "",
               "Variant of the pipeline; empty is the pipeline's default.", allowed=_variants()),
     Parameter("device", STRING, "auto",

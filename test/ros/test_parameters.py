@@ -29,7 +29,11 @@ def test_defaults_make_settings() -> None:
 
 
 BAD = [
-    ("pipeline", "cone", "pipeline: expected string (light_grid, cone_hierarchy, mesh_bvh, brute_force), got 'cone'"),
+    (
+        "pipeline",
+        "cone",
+        "pipeline: expected string (light_grid, cone_hierarchy, mesh_bvh, brute_force, auto), got 'cone'",
+    ),
     ("pipeline", 3, "pipeline: expected string"),
     ("variant", "fast", "variant: expected string"),
     ("variant", "float64", "variant: expected one of packed, packed_scalar, spherical"),

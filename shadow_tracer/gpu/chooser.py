@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pipeline ``auto``: which pipeline is the fastest for the frame at hand, by what frames have cost on this device.
+
+Each candidate has a rough law of its cost: for n rays, T triangles and L lights
+
+    light_grid    L (a n + b T), and L c T where records are to be made
+    mesh_bvh      d T where its tree is to be built or refitted, and L e n log2 T
+    brute_force   L f n T
+
+The law is multiplied by a factor that is learned: for each kind of frame (what has changed, and n, T and L to a power
+of two) the ratio of measured and lawful cost, a running mean over the frames that the candidate traced; for a kind of
+which it has traced none, the factor of the nearest kind it has; before any, that of :meth:`Chooser.calibrated`, or 1.
+The least expected cost wins, and the winner stays in office until another is expected to take 15 percent less: changing
+costs a frame in which things are made anew. A candidate that is better than thought would never show it, so a near
+second is tried now and then.
+
+No Warp here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+Names = tuple[str, str]
+
+LIGHT_GRID: Names = ("light_grid", "packed")
+MESH_BVH: Names = ("mesh_bvh", "refit")
+BRUTE_FORCE: Names = ("brute_force", "filtered")
+CANDIDATES = (LIGHT_GRID, MESH_BVH, BRUTE_FORCE)
+
+# Nanoseconds on one core of a Xeon of 2020; only their ratios matter before anything has been measured.
+_RAY, _TRIANGLE, _RECORD = 90.0, 25.0, 45.0
+_BUILD, _REFIT, _STEP = 350.0, 60.0, 18.0
+_PAIR = 0.9
+_OVERHEAD = 0.3e6
+
+_ADVANTAGE = 0.85  # another is taken if it is expected to take less than this share of the present one's time
+_NEAR = 1.5  # a second within this is tried
+_FIRST_TRIAL, _NEXT_TRIAL = 20, 400  # frames of a kind before a second is tried, and between trials
+_MEMORY = 0.25  # weight of the last frame in the running mean
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What the cost of a frame depends on.
+
+    Attributes:
+        change: 0 nothing, 1 positions, 2 triangles of the scene have changed since the frame before.
+        rays, triangles, lights: their numbers.
+        new_lights: whether lights or their frame have changed.
+    """
+
+    change: int
+    rays: int
+    triangles: int
+    lights: int
+    new_lights: bool = False
+
+    @property
+    def kind(self) -> tuple[int, ...]:
+        """Situations that are taken for the same."""
+        sizes = (self.rays, self.triangles, self.lights)
+        return (self.change, *(max(size, 1).bit_length() for size in sizes), int(self.new_lights))
+
+
+def lawful(names: Names, frame: Situation) -> float:
+    """Milliseconds by the rough law."""
+    n, t, lights = frame.rays, max(frame.triangles, 1), frame.lights
+    if names == LIGHT_GRID:
+        fresh = frame.change > 0 or frame.new_lights
+        cost = lights * (_RAY * n + _TRIANGLE * t + (_RECORD * t if fresh else 0.0))
+    elif names == MESH_BVH:
+        build = (0.0, _REFIT, _BUILD)[frame.change] * t
+        fresh = frame.change > 0 or frame.new_lights
+        cost = build + lights * (_STEP * n * math.log2(t + 1) + (_RECORD * t if fresh else 0.0))
+    else:
+        cost = lights * (_PAIR * n * t + _RAY * n / 4)
+    return (cost + _OVERHEAD) * 1e-6
+
+
+class Chooser:
+    """Chooses among the candidates, and learns from what they took."""
+
+    def __init__(self, candidates: tuple[Names, ...] = CANDIDATES) -> None:
+        self.candidates = candidates
+        self.forced: Names | None = None
+        self._chosen = candidates[0]
+        self._reason = "nothing has been traced yet"
+        self._base: dict[Names, float] = {}
+        self._factors: dict[Names, dict[tuple[int, ...], float]] = {names: {} for names in candidates}
+        self._frames: dict[tuple[int, ...], int] = {}
+        self._trial: dict[tuple[int, ...], int] = {}
+
+    @property
+    def chosen(self) -> Names:
+        """The one in office."""
+        return self._chosen
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+        return self._reason
+
+    def expected(self, names: Names, frame: Situation) -> float:
+        """Milliseconds that a candidate is expected to take."""
+        return lawful(names, frame) * self._factor(names, frame.kind)
+
+    def choose(self, frame: Situation) -> Names:
+        """The candidate for a frame."""
+        if self.forced is not None:
+            self._chosen, self._reason = self.forced, "asked for"
+            return self._chosen
+        costs = {names: self.expected(names, frame) for names in self.candidates}
+        ranking = sorted(self.candidates, key=costs.__getitem__)
+        best = ranking[0]
+        if costs[best] >= _ADVANTAGE * costs[self._chosen]:
+            best = self._chosen
+        number = self._frames[frame.kind] = self._frames.get(frame.kind, 0) + 1
+        tried = self._second_to_try(frame, ranking, costs, best, number)
+        self._chosen = tried or best
+        others = ", ".join(f"{'/'.join(names)} {costs[names]:.3g}" for names in ranking if names != self._chosen)
+        why = "tried, as it may be better than thought; expected" if tried else "expected"
+        self._reason = f"{'/'.join(self._chosen)}: {why} {costs[self._chosen]:.3g} ms ({others})"
+        return self._chosen
+
+    def learn(self, names: Names, frame: Situation, milliseconds: float) -> None:
+        """A frame has taken so long. Frames in which a candidate had to catch up with the scene are not told."""
+        ratio = milliseconds / lawful(names, frame)
+        known = self._factors[names]
+        before = known.get(frame.kind)
+        # The first is often slower than those that follow; and a single slow frame says little.
+        known[frame.kind] = ratio if before is None else before + _MEMORY * (min(ratio, 3.0 * before) - before)
+        if len(known) > 512:
+            known.pop(next(iter(known)))
+
+    def calibrated(self, names: Names, frame: Situation, milliseconds: float) -> None:
+        """What a candidate takes on this device, measured on a scene of known size: holds where nothing is learned."""
+        self._base[names] = milliseconds / lawful(names, frame)
+
+    def _factor(self, names: Names, kind: tuple[int, ...]) -> float:
+        known = self._factors[names]
+        if kind in known:
+            return known[kind]
+        if not known:
+            return self._base.get(names, 1.0)
+
+        def distance(other: tuple[int, ...]) -> int:
+            # What changed matters most: mesh_bvh builds or does not.
+            return 8 * (other[0] != kind[0]) + sum(abs(a - b) for a, b in zip(other, kind, strict=True))
+
+        nearest = min(known, key=distance)
+        return known[nearest] if distance(nearest) <= 3 else self._base.get(names, known[nearest])
+
+    def _second_to_try(
+        self, frame: Situation, ranking: list[Names], costs: dict[Names, float], best: Names, number: int
+    ) -> Names | None:
+        due = self._trial.setdefault(frame.kind, _FIRST_TRIAL)
+        if number < due or len(ranking) < 2:
+            return None
+        second = next(names for names in ranking if names != best)
+        self._trial[frame.kind] = number + _NEXT_TRIAL
+        return second if costs[second] <= _NEAR * costs[best] else None
