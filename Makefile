@@ -5,8 +5,8 @@ PY := $(VENV)/bin/python
 PROJECT_FILES := pyproject.toml setup.py setup.cfg
 
 EXTRAS_demo := ros,mesh,demo
-EXTRAS_test := ros,mesh,demo,test
-EXTRAS_dev := ros,mesh,demo,test,dev
+EXTRAS_test := ros,mesh,sun,bag,demo,benchmark,test
+EXTRAS_dev := ros,mesh,sun,bag,demo,benchmark,test,dev
 EXTRAS_benchmark := ros,mesh,demo,benchmark
 
 # A ROS 2 that is sourced in this shell, or the ROS wheels of another environment, must not mix with the wheels in .venv.
@@ -34,7 +34,7 @@ FIND_PYTHON = for p in $(or $(PYTHON),python3.12 python3.11 python3.10 python3 p
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint format types wheel clean distclean FORCE
+.PHONY: help demo test benchmark lint format types wheel clean distclean FORCE
 
 help: ## this list
 	@echo "make <target>, with PYTHON=<interpreter> to choose the Python that .venv is made with"
@@ -45,6 +45,9 @@ demo: $(VENV)/.has-demo ## play a moving scene through the node, pictures into d
 
 test: $(VENV)/.has-test ## all tests; ARGS="-k name" passes options to pytest
 	@$(PY) -m pytest -q $(ARGS)
+
+benchmark: $(VENV)/.has-benchmark ## the suite beside Embree, wp.Mesh and others, figures and plots into benchmark_output/; ARGS="--quick" is short
+	@$(PY) benchmark/suite.py --out benchmark_output $(ARGS)
 
 lint: $(VENV)/.has-dev ## ruff: rules and layout
 	@$(PY) -m ruff check .
@@ -63,7 +66,7 @@ wheel: $(VENV)/.has-dev ## source archive, and the wheel made from it, into dist
 	@rm build.log && ls dist/*
 
 clean: ## remove what was built, not .venv
-	rm -rf build install log dist demo_output *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf build install log dist demo_output benchmark_output *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 distclean: clean ## remove .venv too

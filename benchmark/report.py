@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 def machine() -> dict[str, Any]:
     """Processor, cores, versions and commit."""
     versions = {}
-    for package in ("warp-lang", "numpy", "embreex", "ros-rclpy"):
+    for package in ("warp-lang", "numpy", "embreex", "open3d", "moderngl", "ros-rclpy"):
         try:
             versions[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
@@ -28,16 +28,22 @@ def machine() -> dict[str, Any]:
         (line.split(":")[1].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")),
         platform.machine(),
     )
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
     return {
         "processor": model,
         "cores": os.cpu_count(),
         "python": platform.python_version(),
-        "commit": commit.stdout.strip() or "unknown",
+        "commit": _git("rev-parse", "--short", "HEAD") or "unknown",
+        "changed since": bool(_git("status", "--porcelain", "--", "shadow_tracer", "benchmark")),
         **versions,
     }
+
+
+def _git(*command: str) -> str:
+    try:
+        done = subprocess.run(["git", *command], cwd=ROOT, capture_output=True, text=True, check=False)
+    except OSError:
+        return ""
+    return done.stdout.strip()
 
 
 def _lines(path: str) -> list[str]:
@@ -55,12 +61,12 @@ def summary(values: list[float]) -> dict[str, float]:
 def threads(count: int) -> str:
     """Confine this process, with the threads it has and will have, to ``count`` cores; says in words what holds now.
 
-    Call it before anything is measured. It binds everybody alike: us, Warp, which uses one thread anyway, and Embree,
-    whose query does too, but whose build would use all cores.
+    Call it before anything is measured. It binds everybody alike: us, who use as many threads as there are cores, and
+    Embree, whose build does.
     """
     if not hasattr(os, "sched_setaffinity"):
         return "threads: not confined on this system (no sched_setaffinity); the builds of Embree may use all cores"
-    cores = sorted(os.sched_getaffinity(0))[:count]
+    cores = sorted(os.sched_getaffinity(0))[-count:]  # the first one is where the system does its own work
     for task in os.listdir("/proc/self/task"):
         os.sched_setaffinity(int(task), cores)
     return f"threads: everything, ours and the peers', on {len(cores)} core{'s' * (len(cores) > 1)} (affinity {cores})"
@@ -73,6 +79,11 @@ def table(rows: list[dict[str, Any]]) -> None:
     widths = [max(len(line[k]) for line in [head, *cells]) for k in range(len(head))]
     for line in [head, ["-" * width for width in widths], *cells]:
         print("| " + " | ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)) + " |")
+
+
+def note(text: str) -> None:
+    """Print a remark beside the tables."""
+    print(f"note: {text}", flush=True)
 
 
 def header(title: str) -> None:

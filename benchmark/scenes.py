@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Views to measure: the real meshes where the data folder is present, and always the scenes made by code and the demo's
-workshop."""
+"""Views to measure: real meshes and recorded depth images where the data folder is present, and always the scenes made
+by code and the demo's workshop."""
 
 from __future__ import annotations
 
@@ -18,6 +18,14 @@ from shadow_tracer import Camera, PointLight
 
 
 @dataclass(frozen=True)
+class Shot:
+    """A depth image, (H, W) float32 metres (NaN: nothing) or uint16 millimetres (0: nothing), and its camera."""
+
+    depth: np.ndarray
+    camera: Camera
+
+
+@dataclass(frozen=True)
 class View:
     """A mesh that changes every frame, a depth image of it, and a light.
 
@@ -29,6 +37,7 @@ class View:
         light: a point light or the sun.
         bias: metres (scene units).
         pixels: (H, W) bool, those that count; None: all.
+        recorded: depth images of a real or simulated camera; none: they are to be rendered.
     """
 
     name: str
@@ -38,6 +47,7 @@ class View:
     light: procedural.Light
     bias: float
     pixels: np.ndarray | None = None
+    recorded: tuple[Shot, ...] = ()
 
 
 # name, file, eye, target, light, bias in the units of the mesh
@@ -46,6 +56,12 @@ _REAL = (
     ("Sponza", "sponza_dabrovic", (-12, 3, 0), (5, 4, 0), (0, 12, 0), 0.01),
     ("Sibenik", "sibenik", (-16, -13, 0), (0, -12, 0), (0, -4, 0), 0.01),
     ("conference", "conference", (1000, 450, 400), (200, 100, -300), (300, 550, -200), 1.0),
+)
+
+# sequence, first frame, frames between two, light, bias [m]: above the noise of the depth and the error of the mesh
+_RECORDED = (
+    ("livingroom1", 0, 10, (0.55, -0.48, 1.36), 0.04),
+    ("redkitchen", 0, 50, (-0.51, -0.48, 1.82), 0.1),
 )
 
 # scene, view, light: the pairs of the prototype's tables, and the sun
@@ -91,14 +107,15 @@ def data_folder() -> Path | None:
 
 def names() -> list[str]:
     """The names of all views, whether there are data for them or not."""
-    return [*(row[0] for row in _REAL), "workshop", *("/".join(row) for row in _PROCEDURAL)]
+    return [*(row[0] for row in (*_REAL, *_RECORDED)), "workshop", *("/".join(row) for row in _PROCEDURAL)]
 
 
 def views(size: int, wanted: list[str]) -> Iterator[View]:
     """The views among ``wanted`` that there are data for, made one by one; says what it skips."""
     makers: dict[str, Callable[[int], View | None]] = {row[0]: partial(_real, *row) for row in _REAL}
+    makers.update({row[0]: partial(_recorded, *row) for row in _RECORDED})
     makers["workshop"] = _workshop
-    makers.update({"/".join(row): partial(_procedural, *row) for row in _PROCEDURAL})
+    makers.update({"/".join(row): partial(procedural_view, *row) for row in _PROCEDURAL})
     for name in wanted:
         view = makers[name](size)
         if view is None:
@@ -133,8 +150,38 @@ def _real(
     return View(name, positions, archive["triangles"], camera, PointLight("lamp", light), bias)
 
 
-def _procedural(scene: str, eye: str, light: str, size: int) -> View:
-    made = procedural.SCENES[scene](frames=4)
+def _recorded(
+    name: str, first: int, step: int, light: tuple[float, float, float], bias: float, size: int
+) -> View | None:
+    """Four frames of a recording with their own poses; images of 640 x 480, every second pixel (fourth ...) if ``size``
+    is below 512."""
+    folder = data_folder()
+    mesh = folder / "meshes" / f"rgbd_{name}_fused.npz" if folder else None
+    if folder is None or mesh is None or not mesh.is_file():
+        return None
+    shots = tuple(_shot(folder / "rgbd" / name, first + k * step, max(1, 512 // size)) for k in range(4))
+    archive = np.load(mesh)
+    positions = np.stack([archive["vertices"].astype(np.float64) + shift * bias * 1e-3 for shift in range(4)])
+    return View(name, positions, archive["triangles"], shots[0].camera, PointLight("lamp", light), bias, recorded=shots)
+
+
+def _shot(folder: Path, number: int, step: int) -> Shot:
+    from PIL import Image
+
+    with Image.open(folder / f"{number:06d}.depth.png") as image:
+        depth = np.asarray(image)[::step, ::step]
+    depth = np.where(depth < 65535, depth, 0).astype(np.uint16)
+    fx, fy, cx, cy = np.loadtxt(folder / "intrinsics.txt")[[0, 1, 0, 1], [0, 1, 2, 2]] / step
+    pose = np.loadtxt(folder / f"{number:06d}.pose.txt")
+    left, _, right = np.linalg.svd(pose[:3, :3])  # files print few digits: made a rotation again
+    pose[:3, :3] = left @ right
+    return Shot(depth, Camera(depth.shape[1], depth.shape[0], fx, fy, cx, cy, pose))
+
+
+def procedural_view(scene: str, eye: str, light: str, size: int, triangles: int | None = None, frames: int = 4) -> View:
+    """A view of a scene made by code, with about ``triangles`` triangles (None: about 70,000)."""
+    make = procedural.SCENES[scene]
+    made = make(frames=frames) if triangles is None else make(triangles, frames=frames)
     where = made.eyes[eye]
     name = f"{scene}/{eye}/{light}"
     return View(name, made.positions, made.triangles, where.camera(size), made.lights[light], 0.01, where.pixels(size))

@@ -179,6 +179,8 @@ class Soak:
             self.rig.until(answer.done, what=f"an answer to {part}")
             result = answer.result().result
             assert result.successful, f"frame {self.frames}: {part} refused: {result.reason}"
+        if "process" in values:
+            first_mask(self.rig)  # another depth of the queue is another subscription, which has to be found
 
     # Frames
 

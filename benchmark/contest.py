@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who is how fast on a case. All take turns, frame by frame, so that a busy minute of the machine meets everybody.
+Every answer is compared, outside the clock; the time of one that was wrong is not given out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from case import Case, Wrong
+from rivals import Contestant
+
+_MOST_WRONG = 1e-3  # part of the rays: peers work in float32; more than this is not the same question
+_WARM_UP = 2  # rounds whose times are not kept
+
+
+@dataclass
+class Timing:
+    """Milliseconds of frames, and the largest number of wrong rays in one of them."""
+
+    times: list[float] = field(default_factory=list)
+    wrong: int = 0
+
+    @property
+    def median(self) -> float:
+        """Median of the frames."""
+        return float(np.median(self.times))
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to measure: frames per figure, and the seconds after which a figure gets no further ones."""
+
+    frames: int = 5
+    seconds: float = 1.0
+
+
+def contest(case: Case, contestants: Sequence[Contestant], effort: Effort, static: bool = True) -> list[dict[str, Any]]:
+    """A row per contestant, best first; without ``static`` only what is measured with the mesh moving.
+
+    Raises:
+        Wrong: a mask of ours is wrong.
+    """
+    moving = _rounds(case, contestants, "dynamic", effort)
+    notes = {contestant.name: contestant.notes() for contestant in contestants}
+    still: dict[str, Timing] = {}
+    if static:
+        for contestant in contestants:
+            contestant.settle()
+        still = _rounds(case, contestants, "static", effort)
+    rows = []
+    for contestant in contestants:
+        timings = {"dynamic": moving[contestant.name]}
+        if static:
+            timings["static"] = still[contestant.name]
+        rows.append(_row(case, contestant, timings) | notes[contestant.name])
+    return sorted(_with_ratios(rows, case.rays), key=lambda row: row["dynamic ms"] or np.inf)
+
+
+def _row(case: Case, contestant: Contestant, timings: dict[str, Timing]) -> dict[str, Any]:
+    wrong = max(timing.wrong for timing in timings.values())
+    valid = wrong <= _MOST_WRONG * contestant.rays
+    row: dict[str, Any] = {
+        "view": case.view.name,
+        "triangles": len(case.view.triangles),
+        "rays": contestant.rays,
+        "lights": len(case.lights),
+        "in shadow": case.in_shadow,
+        "method": contestant.name,
+        "ours": contestant.exact,
+        "builds": contestant.builds,
+        "wrong rays": wrong,
+        "frames": len(timings["dynamic"].times),
+    }
+    for motion in ("dynamic", "static"):
+        timing = timings.get(motion)
+        row[f"{motion} ms"] = timing.median if timing and valid else None
+        row[f"{motion} least ms"] = min(timing.times) if timing and valid else None
+    return row
+
+
+def _rounds(case: Case, contestants: Sequence[Contestant], motion: str, effort: Effort) -> dict[str, Timing]:
+    timings = {contestant.name: Timing() for contestant in contestants}
+    spent = dict.fromkeys(timings, 0.0)
+    count = len(case.frames)
+    for turn in range(_WARM_UP + effort.frames):
+        frame = turn % count
+        right = (case.dynamic if motion == "dynamic" else case.static)[frame]
+        # The order turns, too: nobody always follows the one that leaves the caches worst.
+        for place in range(len(contestants)):
+            contestant = contestants[(place + turn) % len(contestants)]
+            timing = timings[contestant.name]
+            if spent[contestant.name] > effort.seconds and timing.times:
+                continue
+            begin = time.perf_counter()
+            found = getattr(contestant, motion)(frame)
+            seconds = time.perf_counter() - begin
+            _judge(case, contestant, timing, frame, found, right)
+            spent[contestant.name] += seconds
+            # A warm-up frame that uses up the time is the measurement.
+            if turn >= _WARM_UP or spent[contestant.name] > effort.seconds:
+                timing.times.append(1e3 * seconds)
+    return timings
+
+
+def _judge(case: Case, contestant: Contestant, timing: Timing, frame: int, found: Any, right: np.ndarray) -> None:
+    wrong = contestant.wrong(frame, found, right)
+    if wrong and contestant.exact:
+        raise Wrong(f"{case.view.name}: {contestant.name} is wrong for {wrong} rays of frame {frame}")
+    timing.wrong = max(timing.wrong, wrong)
+
+
+def _with_ratios(rows: list[dict[str, Any]], rays: int) -> list[dict[str, Any]]:
+    """Add how often our time goes into the best peer's, with its build ("dynamic") or its query alone ("static")."""
+    peers = [row for row in rows if not row["ours"]]
+    built = min((row["dynamic ms"] for row in peers if row["builds"] and row["dynamic ms"]), default=None)
+    asked = min((row["static ms"] for row in peers if row["static ms"]), default=None)
+    for row in rows:
+        whole = row["ours"] and row["rays"] == rays
+        row["dynamic ratio"] = built / row["dynamic ms"] if whole and built else None
+        row["static ratio"] = asked / row["static ms"] if whole and asked else None
+    return rows
