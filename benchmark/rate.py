@@ -55,10 +55,13 @@ class Case:
         cells: the sheet has 2 * cells^2 triangles.
         reliable: QoS of depth and camera_info.
         large: the publisher has the large segment of config/fastdds_large_images.xml.
+        every: the node's parameter process is every, not latest: a frame that takes longer delays the next, and none is
+            passed over.
         must_hold: its figures are asserted.
     """
 
     cells: int
+    every: bool = False
     reliable: bool = True
     large: bool = True
     must_hold: bool = False
@@ -67,16 +70,18 @@ class Case:
     def name(self) -> str:
         """In words."""
         transport = "large segment" if self.large else "stock Fast DDS"
-        return f"{2 * self.cells**2} triangles, {'reliable' if self.reliable else 'best effort'}, {transport}"
+        order = "every" if self.every else "latest"
+        return f"{2 * self.cells**2} triangles, {order}, {'reliable' if self.reliable else 'best effort'}, {transport}"
 
 
 CASES = (
-    Case(100, must_hold=True),
+    Case(100, every=True, must_hold=True),
+    Case(100),
     Case(100, large=False),
     Case(100, reliable=False),
     Case(100, reliable=False, large=False),
+    Case(187, every=True),
     Case(187),
-    Case(187, large=False),
 )
 
 
@@ -230,6 +235,8 @@ def measure(case: Case, rate: float, seconds: float) -> dict[str, Any]:
     """Run a node and a publisher; a line of the table."""
     values = {"lights": ["lamp"], "lights.lamp.position": list(LAMP), "device": "cpu"}
     values |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic}
+    if case.every:
+        values["process"] = "every"
     if case.reliable:
         topics = ("depth/image_rect", "depth/camera_info")
         values |= {f"qos_overrides./{topic}.subscription.reliability": "reliable" for topic in topics}

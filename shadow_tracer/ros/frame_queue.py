@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
 from shadow_tracer.ros.diagnostics import DEPTH, Missing
+from shadow_tracer.ros.mesh_store import Part
 from shadow_tracer.ros.messages import stamp_ns
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ class WaitingFrame:
         stamp: its stamp [ns].
         arrived: steady time of arrival [s].
         decoding: time decoding took [ms].
+        parts: the meshes that it is to be traced with; None is the newest there are then.
     """
 
     image: Image
@@ -34,6 +36,7 @@ class WaitingFrame:
     stamp: int
     arrived: float
     decoding: float = 0.0
+    parts: Mapping[str, Part] | None = None
 
 
 class FrameQueue:

@@ -180,7 +180,9 @@ class Inputs:
         self._last_stamp = stamp
         self.depth_format, self.depth_bytes = f"{msg.encoding} {msg.width} x {msg.height}", len(msg.data)
         self.camera_frame = msg.header.frame_id
-        self.queue.put(WaitingFrame(msg, depth, stamp, now, (time.perf_counter() - start) * 1e3))
+        # Frames that wait in line were taken before the meshes that come meanwhile.
+        parts = self.meshes.store.snapshot() if self.queue.every else None
+        self.queue.put(WaitingFrame(msg, depth, stamp, now, (time.perf_counter() - start) * 1e3, parts))
         self._work()
 
     def _on_info(self, msg: CameraInfo) -> None:

@@ -196,6 +196,7 @@ class MeshStore:
     def restart_age(self, now_ns: int) -> None:
         """Time has jumped to ``now_ns`` [ns]: every part counts as received now, lifetimes included. Parts that stay
         where their frame was once stay there: of that time nothing is known any more."""
+        self._parts = dict(self._parts)  # snapshots stay what they are
         for key, part in list(self._parts.items()):
             if part.expires is not None:
                 self._parts[key] = moved = replace(part, expires=now_ns + part.expires - self._received[key])
@@ -203,7 +204,18 @@ class MeshStore:
                     self._fixed[key] = (moved, *self._fixed[key][1:])
             self._received[key] = now_ns
 
-    def update(self, scene: Scene, places: Places, mesh_frame: str, shown: bool = True) -> None:
+    def snapshot(self) -> Mapping[str, Part]:
+        """The parts of now, which later changes leave alone."""
+        return MappingProxyType(self._parts)
+
+    def update(
+        self,
+        scene: Scene,
+        places: Places,
+        mesh_frame: str,
+        shown: bool = True,
+        parts: Mapping[str, Part] | None = None,
+    ) -> None:
         """Bring the scene up to date, copying only what is new. Meshes of the scene that are not parts stay.
 
         Args:
@@ -211,12 +223,13 @@ class MeshStore:
             places: frames at the stamp of the depth image.
             mesh_frame: frame of parts without one.
             shown: False removes all parts from the scene.
+            parts: a snapshot to be shown; None is the parts of now.
 
         Raises:
             Missing: the frame of a part cannot be found; the scene is as before.
             BoundsError: with what else is in the scene it is too much.
         """
-        wanted = self._parts if shown else {}
+        wanted = (self._parts if parts is None else parts) if shown else {}
         poses = {key: self._place(part, places, mesh_frame) for key, part in wanted.items()}
         for key in self._shown.keys() - wanted.keys():
             if key in scene:

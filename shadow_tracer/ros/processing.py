@@ -7,6 +7,7 @@ No ROS here: the offline tool works with the same code.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from shadow_tracer.ros.diagnostics import DEPTH, ERROR, MESH, PROCESSING, Missin
 from shadow_tracer.ros.frame_queue import FrameQueue, WaitingFrame
 from shadow_tracer.ros.frames import Frames, Poses
 from shadow_tracer.ros.lighting import Lighting, Lit
-from shadow_tracer.ros.mesh_store import MeshStore
+from shadow_tracer.ros.mesh_store import MeshStore, Part
 from shadow_tracer.ros.messages import Intrinsics, MessageError, intrinsics
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.scene.depth_mesh import depth_mesh
@@ -87,7 +88,7 @@ class Processor:
             try:
                 job = self._prepare(settings, frame, now_ns, last_chance)
                 watch.lap("transforms")
-                self._follow(settings, tracer.scene, job.poses)
+                self._follow(settings, tracer.scene, job.poses, frame.parts)
                 watch.lap("mesh")
                 self._queue.take(frame)
                 return self._trace(settings, tracer, frame, job, watch)
@@ -118,15 +119,15 @@ class Processor:
         lit = self._lighting.at(settings, poses, frame.stamp)
         return _Job(info, optics, optics.camera(poses.camera_to_world), lit, poses)
 
-    def _follow(self, settings: Settings, scene: Scene, poses: Poses) -> None:
+    def _follow(self, settings: Settings, scene: Scene, poses: Poses, parts: Mapping[str, Part] | None) -> None:
         forget_surface(scene, settings)
         try:
-            self._meshes.update(scene, poses, settings.mesh_frame, settings.uses_meshes)
+            self._meshes.update(scene, poses, settings.mesh_frame, settings.uses_meshes, parts)
         except BoundsError:
             if DEPTH_PART not in scene:
                 raise
             scene.remove(DEPTH_PART)  # that of the image before, which is replaced anyway, may be in the way
-            self._meshes.update(scene, poses, settings.mesh_frame, settings.uses_meshes)
+            self._meshes.update(scene, poses, settings.mesh_frame, settings.uses_meshes, parts)
 
     def _trace(
         self, settings: Settings, tracer: ShadowTracer, frame: WaitingFrame, job: _Job, watch: StopWatch

@@ -56,6 +56,26 @@ def test_each_image_of_a_burst_is_answered_in_order() -> None:
         rig.wait_status(PROCESSING, OK)
 
 
+def test_images_are_traced_with_the_meshes_that_came_before_them() -> None:
+    """However late they are answered, so that a replay gives the same masks each time."""
+    with Rig(EVERY) as rig:
+        rig.send_mesh(*plate(x=0.3))
+        early = burst(rig, 1, info=False)
+        rig.until(lambda: rig.value(PROCESSING, "waiting") == "1")
+        rig.send_mesh(*plate(x=-0.3))
+        late = burst(rig, 1)
+        for stamp in early:
+            rig.info.publish(info_msg(WIDTH, HEIGHT, stamp))
+        tracer = library()
+        lamp = [PointLight("lamp", (0.5, -0.5, 0.0))]
+        for x, sent in ((0.3, early), (-0.3, late)):
+            tracer.scene.put("mesh", *plate(x=x))
+            for stamp, depth in sent.items():
+                expected = tracer.trace(depth, camera(), lamp, bias=BIAS).mask()
+                assert (expected == 0).sum() > 1
+                np.testing.assert_array_equal(rig.mask_of(stamp), expected)
+
+
 def test_one_that_waits_holds_up_the_others() -> None:
     with Rig(EVERY) as rig:
         sent = list(burst(rig, 6, info=False))
