@@ -52,7 +52,7 @@ class Core:
         self.startup_error = ""
         self._strict = strict
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.inputs = Inputs(node, self.guarded, lambda: server.settings, self.wake, self._forget)
+        self.inputs = Inputs(node, self.guarded, lambda: server.settings, self._step, self._forget)
         self.frames = Frames(lambda: Tf2(node))
         self.queries = Queries(self.frames, self.inputs.meshes.store, self.inputs.lighting)
         self.inputs.connect(self.frames, self.queries)

@@ -39,7 +39,7 @@ class Inputs:
         node: the node.
         guarded: wraps a callback so that it never raises.
         settings: called for the settings of the moment.
-        work: called when there is something to do.
+        work: does what there is to do now: in the callback that brought it, as another turn of the executor takes time.
         restarted: called with a sentence when the images start again at an earlier time.
 
     Attributes:
