@@ -25,6 +25,11 @@ SMALL = {
 }
 
 
+def _hears_interrupts() -> None:
+    """A shell without job control starts what runs in the background with SIGINT ignored, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class NodeProcess:
     """The program ``shadow_node`` as a process of its own. Use as a context manager.
 
@@ -51,6 +56,7 @@ class NodeProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            preexec_fn=_hears_interrupts,
             env={**os.environ, "PYTHONPATH": path, **(environment or {})},
         )
         self.out: list[str] = []
