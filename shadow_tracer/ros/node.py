@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -86,6 +87,13 @@ class ShadowNode(ShadowNodeMixin):
         self._core.start()
 
 
+def _spare_collector() -> None:
+    """What is there when frames begin stays: the modules of Warp and ROS are some hundred thousand objects, and looking
+    through them for garbage would hold up a frame for 50 ms now and then."""
+    gc.collect()
+    gc.freeze()
+
+
 def spin(node: ShadowNodeMixin, stop: Callable[[], bool]) -> int:
     """Run callbacks until ``stop()`` is true, which is asked after each, or the context is shut down.
 
@@ -95,11 +103,15 @@ def spin(node: ShadowNodeMixin, stop: Callable[[], bool]) -> int:
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     faults = 0
+    settled = False
     try:
         while not stop() and node.context.ok():
             try:
                 executor.spin_once()
                 faults = 0
+                if not settled and node.ready:
+                    settled = True
+                    _spare_collector()
             except ExternalShutdownException:
                 break
             except StartupError as error:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -19,9 +20,25 @@ from rcl_interfaces.srv import SetParameters
 
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer
 from shadow_tracer.ros.diagnostics import DEVICE, ERROR, OK, PROCESSING
+from shadow_tracer.ros.node import spin
 
 ROOT = Path(__file__).parents[2]
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+
+
+def test_what_is_there_when_frames_begin_is_not_searched_for_garbage() -> None:
+    """It would hold up frames; what comes later still is collected."""
+    before = gc.get_freeze_count()
+    try:
+        with Rig(start=False) as rig:
+            rig.start(wait=False)
+            node = rig.node
+            assert node is not None and not node.ready
+            rig.executor.remove_node(node)
+            assert spin(node, lambda: gc.get_freeze_count() > before) == 0
+            assert node.ready and gc.isenabled()
+    finally:
+        gc.unfreeze()
 
 
 @SIGNALS
