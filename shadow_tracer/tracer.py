@@ -221,7 +221,7 @@ class ShadowTracer:
         positions, flat = _positions(points)
         names = self._check_lights(lights)
         constant = Bias(constant=bias).constant
-        valid = (np.abs(flat) <= LARGEST).all(axis=1)
+        valid: npt.NDArray[np.bool_] = np.asarray((np.abs(flat) <= LARGEST).all(axis=1))
         flat = np.where(valid[:, None], flat, 0.0)
         states = np.empty((len(names), len(flat)), dtype=np.uint8)
         for begin in range(0, len(flat), self._bounds.max_rays):

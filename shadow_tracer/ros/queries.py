@@ -93,7 +93,7 @@ class Queries:
         while self._waiting:
             query = self._waiting[0]
             last_chance = now - query.arrived >= max(settings.tf_timeout, _SHORTEST_WAIT)
-            known = np.isfinite(query.points).all(axis=1)
+            known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(query.points).all(axis=1))
             bits = np.zeros(len(query.points), np.uint32)
             try:
                 if known.any():

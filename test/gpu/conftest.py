@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmark import kernel_resources
-
 
 @pytest.fixture(scope="session")
 def machine_code(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Module below shadow_tracer.gpu -> file of its sm_90 machine code, made once for all tests: it takes seconds."""
+    # Here and not above: tests that take a safeguard out run in copies of the package and the tests alone.
+    from benchmark import kernel_resources
+
     made: dict[str, Path] = {}
 
     def code(module: str) -> Path:

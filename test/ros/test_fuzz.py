@@ -4,13 +4,22 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
 
 import pytest
+from rclpy.logging import LoggingSeverity, set_logger_level
 
 from benchmark.fuzz_messages import INPUTS, Input, any_bytes, mutated
 from benchmark.fuzz_node import fuzz, robust_slope
 
 MESSAGES = 180
+
+
+@pytest.fixture(autouse=True)
+def _log_as_before() -> Iterator[None]:
+    """The program silences the node, which would last for all tests of this process."""
+    yield
+    set_logger_level("shadow_tracer", LoggingSeverity.UNSET)
 
 
 @pytest.mark.parametrize("tried", INPUTS, ids=lambda tried: tried.name.replace(" ", "_"))
