@@ -243,8 +243,9 @@ class Engine:
         return self._trace_all(working, lights, None)
 
     def _working(self, count: int) -> list[Share]:
-        """The shares that so many samples are worth: all, or the first alone."""
-        return self._team if count >= LEAST * len(self._team) else self._team[:1]
+        """The shares that so many samples are worth: all, or the first alone if it has room for them."""
+        few = count < LEAST * len(self._team) and count <= self._team[0].frame.bounds.max_rays
+        return self._team[:1] if few else self._team
 
     @staticmethod
     def _frames(working: Sequence[Share]) -> list[FrameBuffers]:

@@ -75,6 +75,25 @@ def test_measurements_in_one_place(kept: str) -> None:
     assert max(part.frame.count for part in shares(made)) <= -(-_COUNT // 2)
 
 
+@pytest.mark.parametrize(("count", "used"), [(51200, 1), (51198, 2), (40000, 2), (32768, 2)])
+def test_samples_that_one_share_would_be_enough_for_if_it_had_room(count: int, used: int) -> None:
+    """25,600 are too few for two threads; a share has room for half of ``max_rays``."""
+    seen = view()
+    made, one = (tracer(("light_grid", "packed"), n, replace(_BOUNDS, max_rays=count)) for n in (2, 1))
+    depth, camera = seen.depth[:160, :160], replace(seen.camera, width=160, height=160)
+    points = np.random.default_rng(3).uniform(-2.0, 2.0, (25600, 3))
+    for each in (made, one):
+        each.scene.put("mesh", seen.vertices, seen.triangles)
+    frames = [
+        each.trace(np.ascontiguousarray(depth), camera, list(seen.lights), bias=seen.bias) for each in (made, one)
+    ]
+    for name in frames[0].names:
+        assert np.array_equal(frames[0].state(name), frames[1].state(name))
+        light = next(light for light in seen.lights if light.name == name)
+        assert np.array_equal(made.occluded(points, light), one.occluded(points, light))
+    assert sum(part.frame.count > 0 for part in shares(made)) == used
+
+
 @pytest.mark.parametrize("shape", [(251, 257), (64, 1021), (1021, 64), (1, 65536), (65535, 1)])
 def test_images_that_do_not_divide(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(5)
