@@ -25,7 +25,7 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
 
 # A name in PATH may be a stub that cannot run, or a Python without venv: each candidate is tried, not looked up.
-PYTHON_OK := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))
+PYTHON_OK := import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
 FIND_PYTHON = for p in $(or $(PYTHON),python3.12 python3.11 python3.10 python3 python); do \
 	if "$$p" -c '$(PYTHON_OK)' >/dev/null 2>&1; then echo "$$p"; exit 0; fi; done; \
 	echo "No Python that fits: tried $(or $(PYTHON),python3.12 python3.11 python3.10 python3 python)." >&2; \

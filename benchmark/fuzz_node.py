@@ -89,6 +89,7 @@ class Ears:
 @contextmanager
 def quiet() -> Iterator[None]:
     """Fast CDR writes its own opinion of bad bytes to stderr, past Python; nothing else of the node does."""
+    sys.stderr.flush()
     saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)

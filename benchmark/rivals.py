@@ -68,14 +68,14 @@ class Contestant:
         return {"counters": {}, "stages": {}}
 
 
-class Ours(Contestant):
-    """A pipeline's variant: the whole of ``ShadowTracer.trace``, numpy to numpy."""
+class _Tracing(Contestant):
+    """One of ours: a tracer that holds the mesh of the case."""
 
     exact = True
 
-    def __init__(self, pipeline: str, variant: str, case: Case, bounds: Bounds | None = None) -> None:
-        super().__init__(f"{pipeline}/{variant}", case)
-        self._tracer = ShadowTracer(pipeline, variant, "cpu", bounds or case.bounds())
+    def __init__(self, name: str, case: Case, tracer: ShadowTracer) -> None:
+        super().__init__(name, case)
+        self._tracer = tracer
         self._tracer.scene.put("mesh", case.view.positions[0], case.view.triangles)
         self._tracer.warm_up()
 
@@ -85,6 +85,14 @@ class Ours(Contestant):
 
     def settle(self) -> None:
         self._tracer.scene.deform("mesh", self.case.view.positions[0])
+
+
+class Ours(_Tracing):
+    """A pipeline's variant: the whole of ``ShadowTracer.trace``, numpy to numpy."""
+
+    def __init__(self, pipeline: str, variant: str, case: Case, bounds: Bounds | None = None) -> None:
+        tracer = ShadowTracer(pipeline, variant, "cpu", bounds or case.bounds())
+        super().__init__(f"{pipeline}/{variant}", case, tracer)
 
     def static(self, frame: int) -> Any:
         shot = self.case.frames[frame].shot
@@ -98,33 +106,21 @@ class Ours(Contestant):
         return {"counters": dict(self._last.counters), "stages": dict(self._last.stages)}
 
 
-class BruteForce(Contestant):
+class BruteForce(_Tracing):
     """Every sample against every triangle, as far as it is affordable: on a random subset of the samples."""
-
-    exact = True
 
     def __init__(self, variant: str, case: Case, most: int = SUBSET) -> None:
         self._samples = min(most, *(len(frame.points) for frame in case.frames))
         few = self._samples * len(case.lights) < case.rays
         of = f" ({self._samples:,} samples)" if few else ""
-        super().__init__(f"brute_force/{variant}{of}", case)
-        self.rays = self._samples * len(case.lights)
         bounds = Bounds(max_triangles=len(case.view.triangles), max_rays=max(self._samples, 1))
-        self._tracer = ShadowTracer("brute_force", variant, "cpu", bounds)
-        self._tracer.scene.put("mesh", case.view.positions[0], case.view.triangles)
-        self._tracer.warm_up()
+        super().__init__(f"brute_force/{variant}{of}", case, ShadowTracer("brute_force", variant, "cpu", bounds))
+        self.rays = self._samples * len(case.lights)
         self._chosen = [
             np.sort(np.random.default_rng(k).choice(len(frame.points), self._samples, replace=False))
             for k, frame in enumerate(case.frames)
         ]
         self._points = [frame.points[chosen] for frame, chosen in zip(case.frames, self._chosen, strict=True)]
-
-    def dynamic(self, frame: int) -> Any:
-        self._tracer.scene.deform("mesh", self.case.view.positions[frame])
-        return self.static(frame)
-
-    def settle(self) -> None:
-        self._tracer.scene.deform("mesh", self.case.view.positions[0])
 
     def static(self, frame: int) -> Any:
         bias = self.case.view.bias

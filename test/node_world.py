@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from harness import FOCAL, HEIGHT, SMALL, WIDTH, time_msg
+from harness import FOCAL, HEIGHT, SMALL, WIDTH, plate, time_msg
 from sensor_msgs.msg import PointCloud2, PointField
 
 from shadow_tracer import Bias, Bounds, Camera, ShadowTracer
@@ -21,6 +21,13 @@ def library() -> ShadowTracer:
     """A tracer with the bounds of the node under test."""
     sizes = {name[len("bounds.") :]: value for name, value in SMALL.items() if name.startswith("bounds.")}
     return ShadowTracer(device="cpu", bounds=Bounds(**sizes))
+
+
+def library_with_plate() -> ShadowTracer:
+    """The same, with the :func:`harness.plate` that a rig sends as its mesh."""
+    made = library()
+    made.scene.put("mesh", *plate())
+    return made
 
 
 def camera(pose: np.ndarray | None = None) -> Camera:

@@ -96,10 +96,18 @@ def test_code_compiles(page: Path) -> None:
 
 
 def test_the_parameter_table_is_the_one_the_code_prints() -> None:
-    text = README.read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "node.md").read_text(encoding="utf-8")
     found = re.search(r"^<!-- parameters: begin.*?-->\n(.*)^<!-- parameters: end -->$", text, re.DOTALL | re.MULTILINE)
-    assert found, "README.md has no parameter table between its two comments"
+    assert found, "docs/node.md has no parameter table between its two comments"
     assert found.group(1) == markdown_table(), "put what `python -m shadow_tracer.ros.parameters` prints there"
+
+
+def test_the_parameters_in_the_readme_are_rows_of_that_table() -> None:
+    found = re.search(r"^### Parameters\n(.*?)^#", README.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert found, "README.md has no section 'Parameters'"
+    rows = re.findall(r"^\|.*\n", found.group(1), re.MULTILINE)
+    assert len(rows) == 2 + 5, "a head and five parameters"
+    assert set(rows) <= set(markdown_table().splitlines(keepends=True))
 
 
 def topics_in_the_readme(heading: str) -> dict[str, str]:

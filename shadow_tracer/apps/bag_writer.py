@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from shadow_tracer.apps.bag_reader import BagError
+from shadow_tracer.ros.messages import image_layout
 
 IMAGE = "sensor_msgs/msg/Image"
 TIMING = "diagnostic_msgs/msg/DiagnosticArray"
@@ -81,20 +81,8 @@ class Output:
             encoding: what ROS calls that: mono8, rgb8, 16UC1.
             header: header of the depth image it belongs to.
         """
-        height, width = pixels.shape[:2]
         data = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)
-        self._write(
-            topic,
-            time,
-            IMAGE,
-            header=self._header(header),
-            height=height,
-            width=width,
-            encoding=encoding,
-            is_bigendian=int(sys.byteorder == "big"),
-            step=len(data) // height,
-            data=data,
-        )
+        self._write(topic, time, IMAGE, header=self._header(header), data=data, **image_layout(pixels, encoding))
 
     def timing(
         self, topic: str, time: int, header: Any, name: str, level: bytes, text: str, device: str,

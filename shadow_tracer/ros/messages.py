@@ -153,6 +153,26 @@ def camera_pose(msg: PoseStamped, fixed_frame: str) -> tuple[int, FloatArray]:
     return stamp_ns(msg.header.stamp), pose_matrix(msg.pose, "pose")
 
 
+def image_layout(pixels: npt.NDArray[Any], encoding: str) -> dict[str, Any]:
+    """The fields of an image that say how its bytes are to be read; they are those of C-contiguous ``pixels``.
+
+    Args:
+        pixels: (H, W) or (H, W, channels), uint8 or uint16.
+        encoding: what ROS calls that: mono8, rgb8, 16UC1.
+
+    Returns:
+        ``height``, ``width`` [px], ``encoding``, ``is_bigendian``, ``step`` [bytes].
+    """
+    height, width = pixels.shape[:2]
+    return {
+        "height": height,
+        "width": width,
+        "encoding": encoding,
+        "is_bigendian": int(sys.byteorder == "big"),
+        "step": pixels.nbytes // height,
+    }
+
+
 def image_message(pixels: npt.NDArray[Any], encoding: str, depth: Image) -> Image:
     """An image with the header of the depth image it belongs to.
 
@@ -162,19 +182,10 @@ def image_message(pixels: npt.NDArray[Any], encoding: str, depth: Image) -> Imag
         depth: the depth image; of its class the message is.
     """
     pixels = np.ascontiguousarray(pixels)
-    height, width = pixels.shape[:2]
     data = array("B")
     # frombytes copies once; assigning a numpy array to .data goes element by element (25 ms at 640 x 480).
     data.frombytes(memoryview(pixels).cast("B"))
-    return type(depth)(
-        header=depth.header,
-        height=height,
-        width=width,
-        encoding=encoding,
-        is_bigendian=int(sys.byteorder == "big"),
-        step=len(data) // height,
-        data=data,
-    )
+    return type(depth)(header=depth.header, data=data, **image_layout(pixels, encoding))
 
 
 def mask_image(mask: npt.NDArray[np.uint8], depth: Image) -> Image:

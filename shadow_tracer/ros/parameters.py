@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every parameter of the node, declared once: type, default, unit, range and meaning. No ROS here.
 
-``python -m shadow_tracer.ros.parameters`` prints the table as Markdown, as it stands in the README.
+``python -m shadow_tracer.ros.parameters`` prints the table as Markdown, as it stands in docs/node.md.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               "What casts shadow: received meshes and mesh files, the surface that the depth image itself shows, or "
               "both.", allowed=("mesh", "depth", "mesh+depth")),
     Parameter("depth_occluder.step", INTEGER, 2,
-              "Every how manieth pixel of the depth image is a corner of the surface that it shows.", "px", 1, 16),
+              "Every n-th pixel of the depth image is a corner of the surface that it shows.", "px", 1, 16),
     Parameter("depth_occluder.max_jump", DOUBLE, 0.05,
               "Where depths of neighbouring corners differ by more than this share of the smaller one, the surface is "
               "cut.", low=0.001, high=1.0),
@@ -128,8 +128,8 @@ PARAMETERS: tuple[Parameter, ...] = (
               "latest answers the newest image and drops those before it; every answers each one in order, for "
               "replays.", allowed=("latest", "every")),
     Parameter("verify_every", INTEGER, 0,
-              "Every how manieth frame is traced by a second pipeline too; the number of differing pixels is "
-              "published. 0 is none.", low=0, high=1_000_000),
+              "Every n-th frame is traced by a second pipeline too; the number of differing pixels is published. 0 is "
+              "none.", low=0, high=1_000_000),
     Parameter("bounds.max_triangles", INTEGER, 1_000_000,
               "Largest number of triangles; a larger mesh is refused whole.",
               low=1, high=2**31 // 9, read_only=_BUFFER),
@@ -312,7 +312,7 @@ def unknown_names(names: Iterable[str], known: Sequence[str], lights: Sequence[s
             )
             continue
         near = difflib.get_close_matches(name, known, 1, 0.5)
-        hint = f"did you mean {near[0]}?" if near else "see the parameter table in the README"
+        hint = f"did you mean {near[0]}?" if near else "see the parameter table in docs/node.md"
         warnings.append(f"{name} has no effect: there is no such parameter; {hint}")
     return warnings
 

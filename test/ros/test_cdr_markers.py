@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from cdr_mutations import mutate
 
 from shadow_tracer.ros.cdr_markers import (
     LEAST,
@@ -237,24 +238,6 @@ def test_flags_are_0_or_1() -> None:
     assert refusal("marker", by_hand(b"", b"", 0, 3)) == "mesh_use_embedded_materials: expected 0 or 1, got 3"
     ordinary = encode_marker(MarkerMessage())
     assert refusal("marker", ordinary[:-1] + b"\2") == "mesh_use_embedded_materials: expected 0 or 1, got 2"
-
-
-def mutate(rng: np.random.Generator, data: bytearray) -> bytearray:
-    where = int(rng.integers(0, len(data))) if data else 0
-    kind = int(rng.integers(0, 6))
-    if kind == 0 and data:
-        data[where] = int(rng.integers(0, 256))
-    elif kind == 1:
-        data = data[:where]
-    elif kind == 2:
-        data[where:where] = rng.bytes(int(rng.integers(1, 32)))
-    elif kind == 3 and len(data) >= 8:
-        struct.pack_into("<I", data, 4 * int(rng.integers(0, len(data) // 4)), int(rng.integers(0, 2**32)))
-    elif kind == 4 and len(data) >= 8:
-        struct.pack_into("<I", data, 4 * int(rng.integers(0, len(data) // 4)), int(rng.integers(0, 64)))
-    elif kind == 5:
-        data = bytearray(bytes(data[:4]) + rng.bytes(int(rng.integers(0, 600))))
-    return data
 
 
 @FORMS

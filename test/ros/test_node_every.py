@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from harness import HEIGHT, WIDTH, Rig, image_msg, info_msg, nanoseconds, plate, wall
-from node_world import BIAS, camera, library
+from node_world import BIAS, camera, library, library_with_plate
 from rclpy.qos import ReliabilityPolicy
 
 from shadow_tracer import PointLight
@@ -40,8 +40,7 @@ def subscriptions(rig: Rig) -> list[Any]:
 
 
 def test_each_image_of_a_burst_is_answered_in_order() -> None:
-    tracer = library()
-    tracer.scene.put("mesh", *plate())
+    tracer = library_with_plate()
     lamp = [PointLight("lamp", (0.5, -0.5, 0.0))]
     with Rig(EVERY) as rig:
         rig.send_mesh(*plate())

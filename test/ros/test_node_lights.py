@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from harness import FOCAL, HEIGHT, WIDTH, Rig, nanoseconds, plate, wall
-from node_world import BIAS, UNKNOWN, all_unknown, camera, library, pose_msg, shadow_size
+from node_world import BIAS, UNKNOWN, all_unknown, camera, library, library_with_plate, pose_msg, shadow_size
 from sensor_msgs.msg import Image
 from tf_double import Buffer, module, transform
 
@@ -42,9 +42,7 @@ def rig() -> Iterator[Rig]:
 
 @pytest.fixture(scope="module")
 def tracer() -> ShadowTracer:
-    made = library()
-    made.scene.put("mesh", *plate())
-    return made
+    return library_with_plate()
 
 
 def expected(tracer: ShadowTracer, *lights: Any) -> Frame:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from harness import Rig, plate, wall
-from node_world import UNKNOWN, cloud_msg, library
+from node_world import UNKNOWN, cloud_msg, library, library_with_plate
 from sensor_msgs.msg import PointCloud2
 from tf_double import Buffer, module, transform
 
@@ -48,9 +48,7 @@ def rig() -> Iterator[Rig]:
 
 @pytest.fixture(scope="module")
 def tracer() -> ShadowTracer:
-    made = library()
-    made.scene.put("mesh", *plate())
-    return made
+    return library_with_plate()
 
 
 def points_of(count: int, seed: int = 1) -> np.ndarray:
