@@ -127,8 +127,10 @@ class Frame:
                 f"other: expected a frame of the lights {list(self.names)} and shape {self._states.shape[1:]}, got one "
                 f"of {list(other.names)} and {other._states.shape[1:]}"
             )
+        mine, others = ({name: soft[1] for name, soft in frame._reached.items()} for frame in (self, other))
+        if mine != others:
+            raise ValueError(f"other: expected a frame with samples of sphere lights {mine}, got one with {others}")
         differ = self._states != other._states
-        for name in self._reached.keys() | other._reached.keys():
-            mine, others = (frame._reached[name][0] for frame in (self, other))
-            differ[self.names.index(name)] |= mine != others
+        for name, (reached, _) in self._reached.items():
+            differ[self.names.index(name)] |= reached != other._reached[name][0]
         return int(np.count_nonzero(differ))

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.frame import Frame, State
-from shadow_tracer.gpu.pipelines import available_pipelines, resolve
+from shadow_tracer.gpu.pipelines import AUTO, available_pipelines, resolve
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
@@ -25,6 +25,7 @@ from shadow_tracer.scene.mesh import Scene
 
 _HARD = (PointLight, SpotLight, DirectionalLight)
 _LIGHTS = (*_HARD, SphereLight)
+_SECONDS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobody is named
 
 
 class ShadowTracer:
@@ -149,9 +150,12 @@ class ShadowTracer:
         if chooser is None:
             self._trace_triangle()
         else:
-            for names in chooser.candidates:
-                chooser.forced = names
-                self._trace_triangle()
+            try:
+                for names in chooser.candidates:
+                    chooser.forced = names
+                    self._trace_triangle()
+            finally:
+                chooser.forced = None
             self._engine.calibrate()
         return time.perf_counter() - begin
 
@@ -248,9 +252,7 @@ class ShadowTracer:
             BoundsError: the image or the number of lights exceeds the declared bounds.
         """
         image, names, checked = self._check_frame(depth, camera, lights, bias)
-        frame = self._trace(image, camera, lights, names, checked)
-        self._last = self._key(camera, lights, checked), frame
-        return frame
+        return self._trace_anew(image, camera, lights, names, checked)
 
     def verify(
         self,
@@ -276,8 +278,9 @@ class ShadowTracer:
 
         Args:
             depth, camera, lights, bias: as for :meth:`trace`.
-            against: the second pipeline, in its default variant; another one than in use. None is the one prepared, or
-                mesh_bvh, or light_grid where mesh_bvh is in use.
+            against: the second pipeline, in its default variant; another one than in use, and none of those that auto
+                chooses among where that is in use: it may be in office. None is the one prepared, or the first of
+                mesh_bvh, light_grid and cone_hierarchy that this leaves.
 
         Returns:
             Number of pairs, at most H * W * len(lights).
@@ -288,12 +291,11 @@ class ShadowTracer:
         """
         image, names, checked = self._check_frame(depth, camera, lights, bias)
         self._employ(against)
-        key = self._key(camera, lights, checked)
+        key = self._key(image, camera, lights, checked)
         if self._last is not None and self._last[0] == key and self._engine.holds(image):
             answer = self._last[1]
         else:
-            answer = self._trace(image, camera, lights, names, checked)
-            self._last = key, answer
+            answer = self._trace_anew(image, camera, lights, names, checked)
         with self._engine.second_opinion():
             return answer.differing(self._trace(image, camera, lights, names, checked))
 
@@ -315,16 +317,26 @@ class ShadowTracer:
         self._engine.release_second()
 
     def _employ(self, against: str | None) -> None:
+        others = [name for name in available_pipelines() if name != AUTO and name not in self._engine.pipelines]
         if against is None:
-            against = self._engine.second or ("light_grid" if self.pipeline == "mesh_bvh" else "mesh_bvh")
-        others = [name for name in available_pipelines() if name != self.pipeline]
+            against = self._engine.second or next(name for name in _SECONDS if name in others)
         if against not in others:
             raise ValueError(f"against: expected one of {', '.join(others)}, got {against!r}")
         self._engine.employ_second(*resolve(against, None))
 
-    def _key(self, camera: Camera, lights: Sequence[Light], bias: Bias) -> tuple[Any, ...]:
+    def _key(self, image: npt.NDArray[Any], camera: Camera, lights: Sequence[Light], bias: Bias) -> tuple[Any, ...]:
         # Cameras and lights are compared by identity: they are frozen, and those of a node are the same for both calls.
-        return (id(camera), camera), tuple(lights), bias, self.scene.revision, self.front_face_culling
+        what = (id(camera), camera), tuple(lights), bias, image.dtype
+        return *what, self.scene.revision, self.front_face_culling
+
+    def _trace_anew(
+        self, image: npt.NDArray[Any], camera: Camera, lights: Sequence[Light], names: tuple[str, ...], bias: Bias
+    ) -> Frame:
+        """A frame by the tracer's own pipeline: from now on the last one, or there is none if this raises."""
+        self._last = None
+        frame = self._trace(image, camera, lights, names, bias)
+        self._last = self._key(image, camera, lights, bias), frame
+        return frame
 
     def _trace(
         self, image: npt.NDArray[Any], camera: Camera, lights: Sequence[Light], names: tuple[str, ...], bias: Bias

@@ -88,7 +88,7 @@ def test_a_wrong_pipeline_is_named(any_device: str, monkeypatch: pytest.MonkeyPa
             states.assign(np.where(host == State.SHADOWED, np.uint8(State.LIT), host))
 
     monkeypatch.setattr(Share, "trace", all_but_the_last)
-    results = {result.pipeline: result for result in self_test.run(any_device)}
+    results = {result.pipeline: result for result in self_test.run(any_device, threads=1)}
     wrong = results.pop("light_grid")
     results.pop("auto")  # which may have handed the scene to it
     if any_device == "cpu":
@@ -104,7 +104,7 @@ def test_a_pipeline_that_fails_is_named(any_device: str, monkeypatch: pytest.Mon
         raise RuntimeError("out of luck")
 
     monkeypatch.setattr(MeshBvh, "trace", fail)
-    results = {result.pipeline: result for result in self_test.run(any_device)}
+    results = {result.pipeline: result for result in self_test.run(any_device, threads=1)}
     assert not results["mesh_bvh"].ok and "out of luck" in results["mesh_bvh"].text
     assert results["mesh_bvh"].differing == 2 * 64 * 48 * 3
     results.pop("auto")  # which may have handed the scene to it
@@ -116,6 +116,29 @@ def test_a_wrong_reference_is_found_out(any_device: str, monkeypatch: pytest.Mon
     results = self_test.run(any_device)
     assert not any(result.ok for result in results)
     assert "checksum" in results[0].text
+
+
+@pytest.mark.parametrize("threads", [2, 3, 8])
+@pytest.mark.parametrize("wrong", ["light_grid", "brute_force"])
+def test_what_only_the_last_of_several_shares_does_wrong_is_found(
+    threads: int, wrong: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shares work side by side in a finer image; a wrong reference is found out as well."""
+    trace = Share.trace
+
+    def all_but_the_last(this: Any, work: Any) -> None:
+        if this.names[0] != wrong or this.frame.number != threads - 1:
+            trace(this, work)
+
+    monkeypatch.setattr(Share, "trace", all_but_the_last)
+    results = {result.pipeline: result for result in self_test.run("cpu", ["light_grid", "mesh_bvh"], threads=threads)}
+    assert not results[wrong].ok and results[wrong].differing > 100
+    assert results["mesh_bvh"].ok == (wrong == "light_grid")
+
+
+def test_a_finer_image_has_the_pixels_of_the_small_one() -> None:
+    points = [self_test.camera(fine).unproject(np.nan_to_num(self_test.depth(fine))) for fine in (1, 4)]
+    assert np.array_equal(points[1][::4, ::4], points[0])
 
 
 def test_chosen_pipelines_and_progress(any_device: str) -> None:

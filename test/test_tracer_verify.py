@@ -10,7 +10,17 @@ import geometry
 import numpy as np
 import pytest
 
-from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, Scene, ShadowTracer, SpotLight, State
+from shadow_tracer import (
+    Bounds,
+    Camera,
+    DirectionalLight,
+    PointLight,
+    Scene,
+    ShadowTracer,
+    SphereLight,
+    SpotLight,
+    State,
+)
 from shadow_tracer.gpu import engine
 
 _BOUNDS = Bounds(max_triangles=3000, max_rays=2000, max_lights=4, queue_capacity=4000, grid_entries=20_000)
@@ -202,6 +212,88 @@ def test_the_last_answer_is_used_if_it_is_of_these_inputs(any_device: str, monke
         assert traces.names[-1] == "MeshBvh"
 
 
+_WIDE = Camera(256, 160, 200.0, 200.0, 127.5, 79.5, _CAMERA.camera_to_world)
+_WIDE_BOUNDS = Bounds(max_triangles=3000, max_rays=44000, max_lights=4, queue_capacity=4000, grid_entries=20_000)
+
+
+def _wide_depth(seed: int) -> np.ndarray:
+    """The upper rows hold nothing, so that shares do not lie where a single one's pixels do."""
+    depth = np.random.default_rng(seed).uniform(0.5, 16.0, (160, 256)).astype(np.float32)
+    depth[:50] = np.nan
+    return depth
+
+
+@pytest.mark.parametrize("names", ["light_grid", "auto", "mesh_bvh"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_points_in_between_change_neither_the_image_nor_the_answer(
+    names: str, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another image than the last one is traced, though points were asked about in between; the same one is not, though
+    it was verified before."""
+    tracer = ShadowTracer(names, device="cpu", bounds=_WIDE_BOUNDS, threads=threads)
+    tracer.scene.put("street", *_street())
+    tracer.prepare_verify("cone_hierarchy")
+    depth = _wide_depth(170)
+    other = depth.copy()
+    other[60:] = _wide_depth(171)[60:]
+    traces = _Traces(monkeypatch)
+    engine_: Any = tracer._engine
+    for image, expected in ((depth, 1), (depth, 1), (other, 2)):
+        if names == "auto":
+            engine_.chooser.forced = ("light_grid", "packed")
+        if image is other or not traces.names:
+            tracer.trace(depth, _WIDE, _LIGHTS)
+        if names == "auto":
+            engine_.chooser.forced = ("brute_force", "filtered")
+        tracer.occluded([[0.0, 0.0, 1.0]], _LIGHTS[0])
+        traces.names.clear()
+        assert tracer.verify(image, _WIDE, _LIGHTS) == 0
+        assert len(traces.names) == expected
+
+
+def test_an_image_of_the_other_format_is_not_the_last_one(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Millimetres, then metres, then the same millimetres, which still are where they were."""
+    tracer = _tracer("light_grid", any_device)
+    millimetres = (1000.0 * np.nan_to_num(_depth())).astype(np.uint16)
+    tracer.trace(millimetres, _CAMERA, _LIGHTS)
+    tracer.trace(_depth(5), _CAMERA, _LIGHTS)
+    traces = _Traces(monkeypatch)
+    assert tracer.verify(millimetres, _CAMERA, _LIGHTS) == 0
+    assert len(traces.names) == 2
+
+
+def test_an_answer_is_forgotten_when_the_next_frame_fails(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was of the image before; and an image of which no answer is known is traced, be it where it should be."""
+    tracer = _tracer("light_grid", any_device)
+    tracer.prepare_verify()
+    tracer.trace(_depth(), _CAMERA, _LIGHTS)
+    with monkeypatch.context() as patch:
+        patch.setattr(engine.Engine, "_launch", lambda *_: 1 // 0)
+        with pytest.raises(ZeroDivisionError):
+            tracer.trace(_depth(6), _CAMERA, _LIGHTS)
+    traces = _Traces(monkeypatch)
+    assert tracer.verify(_depth(6), _CAMERA, _LIGHTS) == 0
+    assert len(traces.names) == 2
+
+
+@pytest.mark.parametrize("names", ["light_grid", "auto"])
+def test_auto_verifies_nobody_and_nobody_it_may_choose_verifies_it(names: str, any_device: str) -> None:
+    tracer = _tracer(names, any_device)
+    for call in (tracer.prepare_verify, lambda against: tracer.verify(_depth(), _CAMERA, _LIGHTS, against=against)):
+        with pytest.raises(ValueError, match="^against: expected one of cone_hierarchy,? .*got 'auto'"):
+            call("auto")
+    if names == "auto":
+        for against in ("mesh_bvh", "light_grid", "brute_force"):
+            with pytest.raises(ValueError, match=f"^against: expected one of cone_hierarchy, got '{against}'"):
+                tracer.prepare_verify(against)
+        assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.second == "cone_hierarchy"
+    else:
+        tracer.prepare_verify("brute_force")
+        tracer.select("auto")
+        assert tracer._engine.second is None, "auto may choose it for a frame"
+        assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
+
+
 def test_buffers_of_the_second_pipeline(any_device: str) -> None:
     """Allocated once, by the first verification or by prepare_verify; counted; freed when told, and when the first
     pipeline becomes the same."""
@@ -271,3 +363,16 @@ def test_frames_of_other_lights_or_sizes_cannot_be_compared(any_device: str) -> 
     ):
         with pytest.raises(ValueError, match="^other: expected"):
             frame.differing(other)
+
+
+def test_frames_of_a_point_and_a_sphere_of_one_name_cannot_be_compared(any_device: str) -> None:
+    tracer = _tracer("light_grid", any_device)
+    position = (0.5, 0.2, 2.5)
+    lights = PointLight("lamp", position), *(SphereLight("lamp", position, 0.1, samples=n) for n in (4, 5))
+    frames = [tracer.trace(_depth(), _CAMERA, [light]) for light in lights]
+    for one in frames:
+        assert one.differing(one) == 0
+        for other in frames:
+            if one is not other:
+                with pytest.raises(ValueError, match="^other: expected a frame with samples of sphere lights"):
+                    one.differing(other)

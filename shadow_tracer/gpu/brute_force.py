@@ -205,6 +205,7 @@ class BruteForce:
 
     recordable = False
     lights_together = 1
+    keeps_rays = False
 
     def __init__(self, variant: str, context: Context) -> None:
         self._variant = variant

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.exact import transform_point
+from shadow_tracer.gpu.exact import ARITHMETIC, transform_point
+from shadow_tracer.gpu.launches import Launches
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.pinhole import Pinhole
 from shadow_tracer.scene.bounds import Bounds
@@ -90,11 +91,13 @@ class Slices:
     def __call__(self, array: wp.array, first: int, count: int) -> wp.array:
         """Elements ``first`` to ``first + count`` of an array that lives as long as this object."""
         key = (int(array.ptr or 0), first, count)
-        if key not in self._made:
+        made = self._made.get(key)
+        if made is None:
             if len(self._made) > 1000:
                 self._made.clear()
-            self._made[key] = array[first : first + count]
-        return self._made[key]
+            # Not read back: another thread may clear meanwhile.
+            self._made[key] = made = array[first : first + count]
+        return made
 
 
 def share_of(bounds: Bounds, shares: int) -> Bounds:
@@ -123,6 +126,7 @@ class FrameBuffers:
             bounds = share_of(bounds, shares)
         self.bounds = bounds
         self.device = device
+        self.number, self.shares = (number, shares) if whole is not None else (0, 1)
 
         def take(name: str, count: int, dtype: Any) -> wp.array:
             if whole is None:
@@ -155,7 +159,9 @@ class FrameBuffers:
         self.count = 0  # samples of the current frame
         self.width = 0  # of the image they come from; 0 if they are a list of points
         self.first = 0  # of all samples of the frame, the number of the first of these
+        self.revision = 0  # another number whenever samples, or rays, may be others than in the frame before
         self._slices = Slices()
+        self.launch = Launches(device)
 
     def set_samples(self, count: int, width: int, first: int = 0) -> None:
         """Tell how many samples these buffers have of this frame, the width of the image they come from (0: a list of
@@ -209,6 +215,53 @@ def transform_vertices(
     world[i] = transform_point(row0, row1, row2, local[i])
 
 
+_BLOCK = wp.constant(1024)
+
+
+# transform_point in a loop for the CPU's compiler to put into vector registers; the same bits.
+@wp.func_native(
+    ARITHMETIC
+    + r"""
+#if !defined(__CUDA_ARCH__)
+    const double* __restrict__ from = (const double*)(local.data + begin);
+    double* __restrict__ to = (double*)(world.data + first + begin);
+    for (int j = 0; j < end - begin; ++j) {
+        const double x = from[3 * j], y = from[3 * j + 1], z = from[3 * j + 2];
+        to[3 * j] = add(add(add(mul(row0[0], x), mul(row0[1], y)), mul(row0[2], z)), row0[3]);
+        to[3 * j + 1] = add(add(add(mul(row1[0], x), mul(row1[1], y)), mul(row1[2], z)), row1[3]);
+        to[3 * j + 2] = add(add(add(mul(row2[0], x), mul(row2[1], y)), mul(row2[2], z)), row2[3]);
+    }
+#endif
+    """
+)
+def transform_block(
+    row0: wp.vec4d,
+    row1: wp.vec4d,
+    row2: wp.vec4d,
+    first: int,
+    begin: int,
+    end: int,
+    local: wp.array(dtype=wp.vec3d),
+    world: wp.array(dtype=wp.vec3d),
+):
+    """Vertices ``begin`` to ``end`` of a mesh, whose first is number ``first`` of ``world``."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def transform_blocks(
+    row0: wp.vec4d,
+    row1: wp.vec4d,
+    row2: wp.vec4d,
+    first: int,
+    local: wp.array(dtype=wp.vec3d),
+    world: wp.array(dtype=wp.vec3d),
+):
+    """``transform_vertices`` for a mesh whose vertices are read where the host has them."""
+    begin = wp.tid() * _BLOCK
+    transform_block(row0, row1, row2, first, begin, wp.min(begin + _BLOCK, local.shape[0]), local, world)
+
+
 @dataclass
 class _Part:
     """Where a mesh lies in the buffers, and which of its revisions is there."""
@@ -220,8 +273,8 @@ class _Part:
     topology: int
     vertices: int
     pose: int
-    low: FloatArray  # bounding box of the finite vertices in the mesh's own frame
-    high: FloatArray
+    mesh_vertices: FloatArray  # (V, 3) in the mesh's own frame
+    mesh_pose: FloatArray
 
 
 class SceneBuffers:
@@ -231,21 +284,28 @@ class SceneBuffers:
     def __init__(self, bounds: Bounds, device: Any) -> None:
         self.device = device
         vertices = 3 * bounds.max_triangles
-        self.local = wp.empty(vertices, dtype=wp.vec3d, device=device)
+        # The CPU reads them where the meshes have them.
+        self.local = wp.empty(0 if device.is_cpu else vertices, dtype=wp.vec3d, device=device)
         self.vertices = wp.empty(vertices, dtype=wp.vec3d, device=device)
         self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
         self.triangle_count = 0
         self.vertex_count = 0
         self.version = 0  # grows with every change
-        self.low: FloatArray = np.zeros(3)  # bounding box in the world
-        self.high: FloatArray = np.zeros(3)
+        self._box: tuple[int, FloatArray, FloatArray] | None = None
         self._parts: dict[str, _Part] = {}
         self._revision = -1
 
     def sync(self, scene: Scene) -> Change:
-        """Copy what changed in ``scene`` since the last call."""
+        """Copy what changed in ``scene`` since the last call; all of it after a call that raised."""
         if scene.revision == self._revision:
             return Change.NOTHING
+        try:
+            return self._copy(scene)
+        except BaseException:
+            self._parts, self._revision = {}, -1
+            raise
+
+    def _copy(self, scene: Scene) -> Change:
         change = Change.NOTHING
         parts: dict[str, _Part] = {}
         first_vertex = first_triangle = 0
@@ -255,7 +315,8 @@ class SceneBuffers:
             change = max(change, part_change)
             first_vertex += part.vertex_count
             first_triangle += part.triangle_count
-        if first_triangle != self.triangle_count:
+        # A mesh that is gone leaves the others in their places if it was the last, be it vertices without triangles.
+        if (first_vertex, first_triangle) != (self.vertex_count, self.triangle_count):
             change = Change.TOPOLOGY
         self._parts = parts
         self._revision = scene.revision
@@ -263,7 +324,6 @@ class SceneBuffers:
         self.vertex_count = first_vertex
         if change != Change.NOTHING:
             self.version += 1
-            self._update_box(scene)
         return change
 
     def nbytes(self) -> int:
@@ -281,22 +341,12 @@ class SceneBuffers:
         if not placed:
             change = Change.TOPOLOGY
             upload(self.triangles, mesh.triangles + np.int32(first_vertex), first_triangle)
-        if old is not None and old.vertices == mesh.vertices_revision:
-            low, high = old.low, old.high
-        else:
-            low, high = _finite_box(mesh.vertices)
-        if not placed or old is None or old.vertices != mesh.vertices_revision:
-            change = max(change, Change.POSITIONS)
+        moved = not placed or old is None or old.vertices != mesh.vertices_revision
+        if moved and not self.device.is_cpu:
             upload(self.local, mesh.vertices, first_vertex)
-        if change != Change.NOTHING or old is None or old.pose != mesh.pose_revision:
+        if moved or old is None or old.pose != mesh.pose_revision:
             change = max(change, Change.POSITIONS)
-            rows = [wp.vec4d(*row) for row in mesh.pose[:3]]
-            wp.launch(
-                transform_vertices,
-                dim=len(mesh.vertices),
-                inputs=[*rows, first_vertex, self.local, self.vertices],
-                device=self.device,
-            )
+            self._place(mesh, first_vertex)
         part = _Part(
             first_vertex,
             first_triangle,
@@ -305,27 +355,42 @@ class SceneBuffers:
             mesh.topology_revision,
             mesh.vertices_revision,
             mesh.pose_revision,
-            low,
-            high,
+            mesh.vertices,
+            mesh.pose,
         )
         return part, change
 
-    def _update_box(self, scene: Scene) -> None:
+    def _place(self, mesh: Mesh, first: int) -> None:
+        """A mesh's vertices in the world, from vertex ``first`` on."""
+        count = len(mesh.vertices)
+        rows = [wp.vec4d(*row) for row in mesh.pose[:3]]
+        if self.device.is_cpu:
+            local = wp.array(ptr=mesh.vertices.ctypes.data, dtype=wp.vec3d, shape=(count,), device=self.device)
+            inputs, blocks = [*rows, first, local, self.vertices], -(-count // int(_BLOCK))
+            wp.launch(transform_blocks, dim=blocks, inputs=inputs, device=self.device)
+        else:
+            inputs = [*rows, first, self.local, self.vertices]
+            wp.launch(transform_vertices, dim=count, inputs=inputs, device=self.device)
+
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Low and high corner of a box in the world around all finite vertices; zeros if there are none."""
+        if self._box is None or self._box[0] != self.version:
+            self._box = (self.version, *self._find_box())
+        return self._box[1], self._box[2]
+
+    def _find_box(self) -> tuple[FloatArray, FloatArray]:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for mesh in scene:
-            part = self._parts[mesh.name]
-            if part.triangle_count == 0 or not np.all(part.low <= part.high):
+        for part in self._parts.values():
+            least, most = _finite_box(part.mesh_vertices)
+            if part.triangle_count == 0 or not np.all(least <= most):
                 continue
-            rotation, position = mesh.pose[:3, :3], mesh.pose[:3, 3]
-            middle = rotation @ (0.5 * part.low + 0.5 * part.high) + position
-            half = np.abs(rotation) @ (0.5 * part.high - 0.5 * part.low)
+            rotation, position = part.mesh_pose[:3, :3], part.mesh_pose[:3, 3]
+            middle = rotation @ (0.5 * least + 0.5 * most) + position
+            half = np.abs(rotation) @ (0.5 * most - 0.5 * least)
             # A few roundings either way: the box only has to hold, not to be tight.
             slack = 1e-14 * (np.abs(middle) + np.abs(half))
             low, high = np.minimum(low, middle - half - slack), np.maximum(high, middle + half + slack)
-        if np.all(low <= high):
-            self.low, self.high = low, high
-        else:
-            self.low, self.high = np.zeros(3), np.zeros(3)
+        return (low, high) if np.all(low <= high) else (np.zeros(3), np.zeros(3))
 
 
 def _finite_box(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ of two) the ratio of measured and lawful cost, a running mean over the frames th
 which it has traced none, the factor of the nearest kind it has; before any, that of :meth:`Chooser.calibrated`, or 1.
 The least expected cost wins, and the winner stays in office until another is expected to take 15 percent less: changing
 costs a frame in which things are made anew. A candidate that is better than thought would never show it, so a near
-second is tried now and then.
+second is tried now and then, for two frames.
 
 No Warp here.
 """
@@ -37,7 +37,7 @@ _OVERHEAD = 0.3e6
 
 _ADVANTAGE = 0.85  # another is taken if it is expected to take less than this share of the present one's time
 _NEAR = 1.5  # a second within this is tried
-_FIRST_TRIAL, _NEXT_TRIAL = 20, 400  # frames of a kind before a second is tried, and between trials
+_FIRST_TRIAL, _NEXT_TRIAL = 20, 400  # frames of a kind before a second is tried, and from trial to trial
 _MEMORY = 0.25  # weight of the last frame in the running mean
 
 
@@ -91,6 +91,7 @@ class Chooser:
         self._factors: dict[Names, dict[tuple[int, ...], float]] = {names: {} for names in candidates}
         self._frames: dict[tuple[int, ...], int] = {}
         self._trial: dict[tuple[int, ...], int] = {}
+        self._on_trial: dict[tuple[int, ...], Names] = {}
 
     @property
     def chosen(self) -> Names:
@@ -125,7 +126,8 @@ class Chooser:
         return self._chosen
 
     def learn(self, names: Names, frame: Situation, milliseconds: float) -> None:
-        """A frame has taken so long. Frames in which a candidate had to catch up with the scene are not told."""
+        """A frame has taken so long. Frames in which a candidate had to catch up with the scene, or was new, or loaded
+        kernels, are not told."""
         ratio = milliseconds / lawful(names, frame)
         known = self._factors[names]
         before = known.get(frame.kind)
@@ -158,6 +160,10 @@ class Chooser:
         due = self._trial.setdefault(frame.kind, _FIRST_TRIAL)
         if number < due or len(ranking) < 2:
             return None
-        second = next(names for names in ranking if names != best)
-        self._trial[frame.kind] = number + _NEXT_TRIAL
-        return second if costs[second] <= _NEAR * costs[best] else None
+        if number == due:
+            second = self._on_trial[frame.kind] = next(names for names in ranking if names != best)
+        else:
+            # A second frame: in the first it may have had to catch up, which teaches nothing.
+            second = self._on_trial.pop(frame.kind)
+            self._trial[frame.kind] = due + _NEXT_TRIAL
+        return second if second != best and costs[second] <= _NEAR * costs[best] else None

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,22 +12,22 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import warp as wp
 
 from shadow_tracer.gpu import light_frame, soft
-from shadow_tracer.gpu.buffers import Change, FrameBuffers, SceneBuffers, upload
+from shadow_tracer.gpu.anchor import depth_anchor, points_anchor
+from shadow_tracer.gpu.buffers import Change, FrameBuffers, SceneBuffers
 from shadow_tracer.gpu.calibration import calibrate
 from shadow_tracer.gpu.chooser import Chooser, Names, Situation
 from shadow_tracer.gpu.cuts import LEAST, even_cuts, image_cuts, share_count
 from shadow_tracer.gpu.graphs import FrameGraphs
-from shadow_tracer.gpu.light_frame import Anchor, make_anchor, make_light_frame
+from shadow_tracer.gpu.light_frame import Anchor, make_light_frame
 from shadow_tracer.gpu.passes import Pass
-from shadow_tracer.gpu.pinhole import make_pinhole
 from shadow_tracer.gpu.pipelines import AUTO, Pipeline, side_by_side
+from shadow_tracer.gpu.samples import Samples, depth_of
 from shadow_tracer.gpu.share import Share
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangles import Context, TriangleRecords
-from shadow_tracer.gpu.workers import Workers
+from shadow_tracer.gpu.workers import Job, Workers
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
@@ -62,7 +62,8 @@ class Engine:
         self._use_graphs = device.is_cuda if graphs is None else graphs
         self._graphs = FrameGraphs(device)
         self._workers = Workers(share_count(device, bounds, threads, self._use_graphs))
-        self._loaded: set[Hashable] = set()
+        self._loaded: set[tuple[Names, str | None, bool]] = set()  # what has been launched, and so loaded
+        self._cold = False  # whether this frame has loaded kernels, or recorded its launches
         self._frame = FrameBuffers(bounds, device, self._workers.count)
         self._scene = SceneBuffers(bounds, device)
         self._context = Context(self._frame, self._scene, TriangleRecords(self._frame, self._scene), self.stages)
@@ -73,6 +74,7 @@ class Engine:
         self._lights: tuple[object, ...] = ()
         self._second: Share | None = None
         self._seconding = False
+        self._samples = Samples(device.is_cpu and not self._use_graphs)
         self.select(pipeline, variant)
 
     @property
@@ -86,19 +88,25 @@ class Engine:
 
     def select(self, pipeline: str, variant: str) -> None:
         """Use another pipeline from the next frame on; the old one's buffers are freed, and the second pipeline's if it
-        would be the same."""
-        if self.second == pipeline:
-            self.release_second()
+        would be the same. If this raises, for instance because there is no memory for old and new together, nothing has
+        changed."""
+        chooser = Chooser() if pipeline == AUTO else None
+        teams: dict[Names, list[Share]] = {}
+        for names in chooser.candidates if chooser else [(pipeline, variant)]:
+            shares = self._workers.count if side_by_side(*names) else 1
+            teams[names] = [Share(self._part(k, shares), *names, not self._use_graphs) for k in range(shares)]
+        self._chooser, self._teams, self._team = chooser, teams, next(iter(teams.values()))
+        self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
-        self._team, self._teams = [], {}
-        if self._second is None:
-            self._context.shared.corners = None
-        self._chooser = Chooser() if pipeline == AUTO else None
-        for names in self._chooser.candidates if self._chooser else [(pipeline, variant)]:
-            shares = self._workers.count if side_by_side(*names) else 1
-            self._teams[names] = [Share(self._part(number, shares), *names) for number in range(shares)]
-        self._team = next(iter(self._teams.values()))
+        if self.second in self.pipelines:
+            self._second = None
+        self._context.shared.free_unused()
+
+    @property
+    def pipelines(self) -> frozenset[str]:
+        """Names of the pipelines that may trace a frame: several if one of them is chosen each time."""
+        return frozenset(name for name, _ in self._teams)
 
     @property
     def chooser(self) -> Chooser | None:
@@ -150,8 +158,9 @@ class Engine:
             self._second = Share(self._context, pipeline, variant)
 
     def release_second(self) -> None:
-        """Free the second pipeline's buffers, if there are any."""
+        """Free the second pipeline's buffers, if there are any, and what it alone has made of the scene."""
         self._second = None
+        self._context.shared.free_unused()
 
     @contextmanager
     def second_opinion(self) -> Iterator[None]:
@@ -159,6 +168,7 @@ class Engine:
         team, second, graphs = self._team, self._second, self._use_graphs
         assert second is not None and second not in team
         self._context.records.forget()
+        self._samples.forget()
         self._team, self._use_graphs, self._seconding = [second], False, True
         try:
             yield
@@ -177,41 +187,35 @@ class Engine:
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
-        pipelines = [share.pipeline for share in self._all_shares()]
-        corners = self._context.shared.corners
-        parts = [self._frame, self._scene, *pipelines, *([corners] if corners is not None else [])]
-        return sum(part.nbytes() for part in parts)
+        own = self._frame.nbytes() + self._scene.nbytes() + self._context.shared.nbytes()
+        return own + sum(share.nbytes() for share in self._all_shares())
 
     def holds(self, depth: np.ndarray) -> bool:
-        """Whether ``depth`` is, bit for bit, the depth image last traced in its format. Waits for the device."""
-        flat, integer = depth.reshape(-1), np.uint32 if depth.dtype == np.float32 else np.uint16
-        for frame in (share.frame for share in self._working(depth.size)):
-            held = _depth_of(frame, depth.dtype)[: frame.count].numpy()
-            mine = flat[frame.first : frame.first + frame.count]
-            if not np.array_equal(held.view(integer), mine.view(integer)):  # as bits: NaN equals NaN
-                return False
-        return True
+        """Whether ``depth`` is, bit for bit, the depth image last traced, whatever points have been asked for since.
+        Waits for the device."""
+        return self._samples.holds(depth)
 
     def trace_depth(
         self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: tuple[float, float]
     ) -> Traced:
         """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
         order."""
-        self._reset()
+        with self._frame_of_its_own():
+            return self._trace_depth(scene, depth, camera, lights, bias)
+
+    def _trace_depth(
+        self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: tuple[float, float]
+    ) -> Traced:
+        before = self._scene.version
         with self.stages.stage("upload"):
-            change = self._sync(scene)
-            situation = self._choose(change, depth.size, lights)
-            begin, working = time.perf_counter(), self._working(depth.size)
-            flat = depth.reshape(-1)
-            cuts = image_cuts(depth, len(working), working[0].frame.bounds.max_rays)
-            for frame, (first, end) in zip(self._frames(working), cuts, strict=True):
-                frame.set_samples(end - first, camera.width, first)
-                frame.set_camera(make_pinhole(camera, bias, first))
-                upload(_depth_of(frame, depth.dtype), flat[first:end])
-        self._anchor = _depth_anchor(depth, camera, bias, self._anchor)
-        caught_up = all(share.news == change for share in working)
-        traced = self._trace_all(working, lights, depth.dtype)
-        self._learn(situation if caught_up else None, begin)
+            situation = self._choose(self._sync(scene), depth.size, lights)
+            begin, team = time.perf_counter(), self._working(depth.size)
+            working = _deal(team, image_cuts(depth, len(team), team[0].frame.bounds.max_rays), camera.width)
+            new = self._samples.put_depth(self._frames(working), depth, camera, bias)
+        self._anchor = depth_anchor(depth, camera, bias, self._anchor)
+        caught_up = all(share.seen == before for share in working)
+        traced = self._trace_all(working, lights, depth.dtype if new else None)
+        self._learn(situation if caught_up and not self._cold else None, begin)
         return traced
 
     def trace_points(
@@ -224,23 +228,28 @@ class Engine:
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
         is all valid."""
-        self._reset()
-        with self.stages.stage("upload"):
-            self._choose(self._sync(scene), len(points), lights)
-            working = self._working(len(points))
-            samples = np.empty((len(points), 4))
-            samples[:, :3] = points
-            samples[:, 3] = bias
-            good = (np.ones(len(points), np.bool_) if valid is None else valid).view(np.uint8)
-            for frame, (first, end) in zip(self._frames(working), even_cuts(len(points), len(working)), strict=True):
-                frame.set_samples(end - first, 0, first)
-                upload(frame.samples, samples[first:end])
-                upload(frame.valid, good[first:end])
-        seen = points if valid is None or not valid.any() else points[valid]
-        low, high = seen.min(axis=0), seen.max(axis=0)
-        center = 0.5 * low + 0.5 * high
-        self._anchor = make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), self._anchor)
-        return self._trace_all(working, lights, None)
+        with self._frame_of_its_own():
+            with self.stages.stage("upload"):
+                self._choose(self._sync(scene), len(points), lights)
+                team = self._working(len(points))
+                working = _deal(team, even_cuts(len(points), len(team)), 0)
+                self._samples.put_points(self._frames(working), points, bias, valid)
+            self._anchor = points_anchor(points, valid, bias, self._anchor)
+            return self._trace_all(working, lights, None)
+
+    @contextmanager
+    def _frame_of_its_own(self) -> Iterator[None]:
+        """Times begin anew. After a frame that raised, nothing that was announced or half made is believed."""
+        self._cold = False
+        for share in self._all_shares():
+            share.stages.reset()
+        self.stages.reset()
+        try:
+            yield
+        except BaseException:
+            self._context.records.forget()
+            self._samples.forget()
+            raise
 
     def _working(self, count: int) -> list[Share]:
         """The shares that so many samples are worth: all, or the first alone if it has room for them."""
@@ -250,11 +259,6 @@ class Engine:
     @staticmethod
     def _frames(working: Sequence[Share]) -> list[FrameBuffers]:
         return [share.frame for share in working]
-
-    def _reset(self) -> None:
-        for share in self._all_shares():
-            share.stages.reset()
-        self.stages.reset()
 
     def _all_shares(self) -> list[Share]:
         """Of all pipelines."""
@@ -269,7 +273,7 @@ class Engine:
 
     def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Any) -> Traced:
         for share in working:
-            share.take_note()
+            share.take_note(self._scene.version)
         if not soft.is_soft(lights):
             return self._trace_lights(working, lights, source)
         count = sum(share.frame.count for share in working)
@@ -291,6 +295,8 @@ class Engine:
         passes = self._passes(working, light_frames)
         stale = self._context.records.plan(light_frames, len(passes[0].lights))
         self._launch(working, passes, source, stale)
+        # Further passes may make another light's records in the place of these.
+        silent = self._context.records.silent(len(lights) - 1)
         further = sum(share.finish_overflow(passes) for share in working)
         with self.stages.stage("download"):
             states = np.empty((len(lights), sum(share.frame.count for share in working)), np.uint8)
@@ -298,7 +304,7 @@ class Engine:
                 share.copy_states(len(lights), states)
             counters = self._read_counters(working)
         counters["triangles"] = self._scene.triangle_count
-        counters["degenerate"], counters["culled"] = self._context.records.silent(len(lights) - 1)
+        counters["degenerate"], counters["culled"] = silent
         counters["overflow_passes"] = further + counters.pop("overflows")
         return Traced(states, self._read_stages(working), counters)
 
@@ -311,12 +317,17 @@ class Engine:
         return total
 
     def _read_stages(self, working: Sequence[Share]) -> dict[str, float]:
-        """Of shares that worked side by side, the times of the slowest."""
+        """Of shares that worked side by side, the times of the slowest; and of stages it did not have, what others
+        took: one of them does for all what depends on scene and lights alone."""
         own = self.stages.read()
         if len(working) == 1 and working[0].stages is self.stages:
             return own
-        slowest = max((share.stages.read() for share in working), key=lambda times: sum(times.values()))
-        return {name: own[name] for name in own if name != "download"} | slowest | {"download": own["download"]}
+        theirs = [share.stages.read() for share in working]
+        theirs.append(max(theirs, key=lambda times: sum(times.values())))
+        together: dict[str, float] = {name: own[name] for name in own if name != "download"}
+        for times in theirs:
+            together |= times
+        return together | {"download": own["download"]}
 
     def _passes(self, working: Sequence[Share], light_frames: Sequence[light_frame.LightFrame]) -> list[Pass]:
         """As many lights together as the pipeline takes and as there is room for."""
@@ -331,68 +342,57 @@ class Engine:
     def _launch(self, working: list[Share], passes: Sequence[Pass], source: Any, stale: Hashable) -> None:
         """Everything of a frame between upload and download, further passes aside."""
         first = working[0]
+        # Warp loads kernels when they are first launched, and not in two threads at once. Whatever a first frame holds,
+        # it needs those of all further ones; but an empty scene needs fewer.
+        kernels = (first.names, None if source is None else np.dtype(source).name, self._scene.triangle_count > 0)
+        loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
+        self._cold |= not loaded
         if self._use_graphs and first.pipeline.recordable:
             frame, scene = first.frame, self._scene
             kind = None if source is None else np.dtype(source).name
             key = (first.names, kind, frame.count, frame.width, scene.triangle_count, scene.vertex_count)
             with self.stages.stage("graph"), self.stages.paused():
-                self._graphs.run((*key, self.front_face_culling, stale), lambda: self._one(first, passes, source))
+                key = (*key, self.front_face_culling, stale)
+                self._cold |= self._graphs.run(key, lambda: self._one(first, passes, source))
         elif len(working) == 1:
             self._one(first, passes, source)
         else:
-            self._side_by_side(working, passes, source)
+            self._side_by_side(working, passes, source, self._workers.run if loaded else _one_after_the_other)
+        self._loaded.add(kernels)
+
+    def _has_launched(self, names: Names) -> bool:
+        """Whether all kernels of a pipeline have been launched, but for those that make samples."""
+        return any(kernels[0] == names and kernels[2] == bool(self._scene.triangle_count) for kernels in self._loaded)
 
     def _one(self, share: Share, passes: Sequence[Pass], source: Any) -> None:
-        share.begin(None if source is None else _depth_of(share.frame, source))
+        share.begin(None if source is None else depth_of(share.frame, source))
         for work in passes:
             share.project(work)
             share.prepare(work)
             share.trace(work)
 
-    def _side_by_side(self, working: Sequence[Share], passes: Sequence[Pass], source: Any) -> None:
+    def _side_by_side(
+        self, working: Sequence[Share], passes: Sequence[Pass], source: Any, run: Callable[[Sequence[Job]], None]
+    ) -> None:
         for number, work in enumerate(passes):
             working[0].prepare(work)
 
             def job(share: Share, work: Pass = work, begin: bool = number == 0) -> None:
                 if begin:
-                    share.begin(None if source is None else _depth_of(share.frame, source))
+                    share.begin(None if source is None else depth_of(share.frame, source))
                 share.project(work)
                 share.trace(work)
 
-            jobs = [partial(job, share) for share in working]
-            # Warp loads kernels when they are first launched, and not in two threads at once.
-            kernels = (*self._team[0].names, None if source is None else np.dtype(source).name)
-            if kernels in self._loaded or not self._scene.triangle_count:
-                self._workers.run(jobs)
-            else:
-                for one in jobs:
-                    one()
-                self._loaded.add(kernels)
+            run([partial(job, share) for share in working])
 
 
-def _depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
-    return frame.depth_metres if np.dtype(kind) == np.float32 else frame.depth_millimetres
+def _deal(team: Sequence[Share], cuts: Sequence[tuple[int, int]], width: int) -> list[Share]:
+    """Tell each share its samples; returns those that have any."""
+    for share, (first, end) in zip(team, cuts, strict=True):
+        share.frame.set_samples(end - first, width, first)
+    return [share for share in team if share.frame.count]
 
 
-def _depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:
-    """Anchor from a sparse look at the depth image: it needs to be near the samples, not around all of them."""
-    step = max(1, min(depth.shape) // 32)
-    rows, columns = np.mgrid[step // 2 : depth.shape[0] : step, step // 2 : depth.shape[1] : step]
-    z = depth[rows, columns].astype(np.float64)
-    if depth.dtype == np.uint16:
-        z /= 1000.0
-    seen = np.isfinite(z) & (z > 0.0)
-    if not seen.any():
-        return previous or make_anchor(camera.position, 1.0, None)
-    # A few samples at the end of the world must not make all others small: float32 could not tell them apart. A
-    # background is no outlier: it has many.
-    seen &= z <= 30.0 * float(np.quantile(z[seen], 0.98))
-    z, u, v = z[seen], columns[seen], rows[seen]
-    local = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z])
-    low, high = local.min(axis=1), local.max(axis=1)
-    center = 0.5 * low + 0.5 * high
-    world = camera.camera_to_world[:3, :3] @ center + camera.camera_to_world[:3, 3]
-    # A scale of some biases keeps the biased starts from cancelling against it (project_samples).
-    return make_anchor(
-        world, max(float(np.linalg.norm(high - center)), 4.0 * (bias[0] + bias[1] * z.max() ** 2)), previous
-    )
+def _one_after_the_other(jobs: Sequence[Job]) -> None:
+    for job in jobs:
+        job()

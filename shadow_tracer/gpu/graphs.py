@@ -25,20 +25,23 @@ class FrameGraphs:
         self._device = device
         self._graphs: OrderedDict[Hashable, Any] = OrderedDict()  # None: seen, not recorded yet
 
-    def run(self, key: Hashable, launch: Callable[[], None]) -> None:
-        """Do what ``launch`` does: its launches must depend on nothing but ``key`` and memory."""
+    def run(self, key: Hashable, launch: Callable[[], None]) -> bool:
+        """Do what ``launch`` does: its launches must depend on nothing but ``key`` and memory. Returns whether they
+        were recorded, which takes longer."""
         if key not in self._graphs:
             launch()
             self._graphs[key] = None
             if len(self._graphs) > _KEPT:
                 self._graphs.popitem(last=False)
-            return
+            return False
         self._graphs.move_to_end(key)
-        if self._graphs[key] is None:
+        record = self._graphs[key] is None
+        if record:
             with wp.ScopedCapture(device=self._device, force_module_load=False) as capture:
                 launch()
             self._graphs[key] = capture.graph
         wp.capture_launch(self._graphs[key])
+        return record
 
     def recorded(self) -> int:
         """How many recordings there are."""

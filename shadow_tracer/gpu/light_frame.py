@@ -16,6 +16,7 @@ decision never uses it. ``projection.py`` brings samples into it, ``triangle_set
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import warp as wp
@@ -74,14 +75,23 @@ def make_anchor(center: FloatArray, radius: float, previous: Anchor | None) -> A
 
 
 def make_light_frame(light: HardLight, anchor: Anchor, number: int = 0) -> LightFrame:
-    """Frame of ``light``, the ``number``-th of its frame, over the samples at ``anchor``."""
-    homogeneous = light.homogeneous
+    """Frame of ``light``, the ``number``-th of its frame, over the samples at ``anchor``. Not to be changed: a light
+    that stays where it is gets the same one again."""
+    axis, cosine = light.cone
+    return _make(tuple(light.homogeneous.tolist()), tuple(axis.tolist()), cosine, light.range, anchor, number)
+
+
+@lru_cache(maxsize=256)
+def _make(
+    homogeneous: tuple[float, ...], axis: tuple[float, ...], cosine: float, reach: float, anchor: Anchor, number: int
+) -> LightFrame:
     center = np.asarray(anchor.center)
+    place = np.asarray(homogeneous[:3])
     if homogeneous[3] == 0.0:
-        f = homogeneous[:3] / np.linalg.norm(homogeneous[:3])
+        f = place / np.linalg.norm(place)
         w_constant, w_slope = 1.0, 0.0
     else:
-        offset = homogeneous[:3] - center
+        offset = place - center
         distance = float(np.linalg.norm(offset))
         f = offset / distance if distance > 0.0 else np.array([0.0, 0.0, 1.0])
         reference = max(distance, anchor.scale)
@@ -90,7 +100,6 @@ def make_light_frame(light: HardLight, anchor: Anchor, number: int = 0) -> Light
     # The axis least aligned with f gives a well-conditioned orthonormal basis.
     r = np.cross(np.eye(3)[int(np.argmin(np.abs(f)))], f)
     r /= np.linalg.norm(r)
-    axis, cosine = light.cone
     frame = LightFrame()
     frame.number = number
     frame.light = wp.vec4d(*homogeneous)
@@ -103,7 +112,7 @@ def make_light_frame(light: HardLight, anchor: Anchor, number: int = 0) -> Light
     frame.w_slope = w_slope
     frame.axis = wp.vec3d(*axis)
     frame.cosine = cosine
-    frame.reach = light.range
+    frame.reach = reach
     return frame
 
 

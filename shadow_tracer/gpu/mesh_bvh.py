@@ -225,6 +225,7 @@ class MeshBvh:
 
     recordable = False
     lights_together = 1
+    keeps_rays = False
 
     def __init__(self, variant: str, context: Context) -> None:
         self._variant = variant
@@ -254,14 +255,13 @@ class MeshBvh:
         if self._version == scene.version:
             return
         seen_all = self._version == scene.version - 1
-        self._version = scene.version
         count = scene.triangle_count
         if count == 0:
-            self._bvh = None
+            self._bvh, self._version = None, scene.version
             return
         rebuild = self._variant == "rebuild" or not seen_all or change == Change.TOPOLOGY or self._worn_out
         with self._context.stages.stage("build"):
-            self._tree.box = _scene_box(scene.low, scene.high)
+            self._tree.box = _scene_box(*scene.box())
             wp.launch(
                 triangle_boxes,
                 dim=count,
@@ -288,6 +288,7 @@ class MeshBvh:
         if rebuild:
             self._fresh_tests = None
             self._worn_out = False
+        self._version = scene.version  # last: a tree that could not be made is made again
 
     def prepare(self, work: Pass) -> None:
         """Records of the light."""

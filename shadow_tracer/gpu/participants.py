@@ -15,9 +15,12 @@ triangle.
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from shadow_tracer.gpu.buffers import LEAF_TESTS
+from shadow_tracer.gpu.launches import Launches
 from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
 from shadow_tracer.gpu.light_space import is_wild
 from shadow_tracer.gpu.passes import Pass
@@ -261,6 +264,7 @@ class Participants:
         self._demand = wp.empty(rays, dtype=wp.int64, device=device)
         self._alone = wp.empty(3, dtype=int, device=device)
         self._alone_now = self._alone[0:1]
+        self._launch = Launches(device)
 
     def answers(self, work: Pass) -> Answers:
         """Where the answers of a pass go."""
@@ -281,11 +285,12 @@ class Participants:
         states = frame.states_of(work.first, len(work.lights))
         self.counts.zero_()
         if attempt == 0:
-            inputs = [frame.rays, states, frame.resume, self.group, self._wild, self.counts]
-            if device.is_cpu:
-                wp.launch(admit_blocks, dim=-(-count // _BLOCK), inputs=[count, *inputs], device=device)
-            else:
-                wp.launch(admit_all, dim=count, inputs=inputs, device=device)
+
+            def prepare() -> tuple[int, list[Any]]:
+                inputs = [frame.rays, states, frame.resume, self.group, self._wild, self.counts]
+                return (-(-count // int(_BLOCK)), [count, *inputs]) if device.is_cpu else (count, inputs)
+
+            self._launch(admit_blocks if device.is_cpu else admit_all, (work.first, count, frame.count), prepare)
             return
         if attempt == 1:
             self._alone.fill_(-1)
@@ -310,15 +315,26 @@ class Participants:
             device=device,
         )
 
+    def choose_again(self, lights: int) -> None:
+        """The same as in the first attempt before, for the same rays; on the CPU."""
+        frame = self._context.frame
+        frame.resume.numpy()[: lights * frame.count] = 0
+
     def finish(self, work: Pass) -> None:
         """Test the rays that are not in the tree. Once in an attempt, whatever its parts."""
         frame, scene = self._context.frame, self._context.scene
-        answers, records = self.answers(work), self._context.records.of(work.first, len(work.lights))
-        threads = 1 if frame.device.is_cpu else _WILD_THREADS_CUDA
-        inputs = [threads, scene.triangle_count, frame.rays, records, self._wild, self.counts, answers]
-        wp.launch(test_wild, dim=threads, inputs=inputs, device=frame.device)
+        threads, lights = 1 if frame.device.is_cpu else _WILD_THREADS_CUDA, len(work.lights)
+
+        def prepare() -> tuple[int, list[Any]]:
+            records = self._context.records.of(work.first, lights)
+            inputs = [threads, scene.triangle_count, frame.rays, records, self._wild, self.counts]
+            return threads, [*inputs, self.answers(work)]
+
+        place = self._context.records.place(work.first)
+        self._launch(test_wild, (work.first, lights, frame.count, place, scene.triangle_count), prepare)
         if work.attempt > 0:
-            inputs = [scene.triangle_count, frame.rays, records, answers, self._alone]
+            records = self._context.records.of(work.first, lights)
+            inputs = [scene.triangle_count, frame.rays, records, self.answers(work), self._alone]
             wp.launch(test_alone, dim=1, inputs=inputs, device=frame.device)
 
     def nbytes(self) -> int:

@@ -19,11 +19,16 @@ class Pass:
         part: 0 unless a list of the pipeline's own could not hold all of the attempt's work. Then the pipeline has told
             ``FrameBuffers.parts`` how many parts there are, and is asked for the others in turn, with nothing in
             between but the decision of queued pairs.
+        keep: what is made of the rays may be asked for ``again``.
+        again: rays and states are what they were when the pass was traced last, with ``keep``, and nothing but the
+            scene has changed. Both are only asked of a ``Pipeline`` that ``keeps_rays``.
     """
 
     lights: tuple[LightFrame, ...]
     attempt: int = 0
     part: int = 0
+    keep: bool = False
+    again: bool = False
 
     @property
     def light(self) -> LightFrame:

@@ -30,6 +30,10 @@ class Pipeline(Protocol):
     def lights_together(self) -> int:
         """The most lights of a pass."""
 
+    @property
+    def keeps_rays(self) -> bool:
+        """Whether what it makes of the rays of a pass can be used again, see ``Pass.again``."""
+
     def prepare(self, work: Pass) -> None:
         """Make what depends on scene and lights alone, unless it is there. Called before ``trace``, and once for all
         pipelines that share the rays of a frame."""

@@ -8,6 +8,8 @@ same operations in the same order, none of them contracted, hence the same bits.
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from shadow_tracer.gpu.buffers import RAYS, FrameBuffers
@@ -176,17 +178,19 @@ def project(buffers: FrameBuffers, light: int, place: int, again: int) -> None:
 
     ``again`` is ``FIRST_TIME``; ``PENDING_RAYS``: only the rays of samples whose tracing is not finished, and no
     states; or ``ONCE_MORE``: as the first time, but not counted."""
-    inputs = [
-        buffers.light_frame_of[light],
-        again,
-        buffers.samples,
-        buffers.valid,
-        buffers.rays_of(place),
-        buffers.states_of(light),
-        buffers.counters,
-    ]
-    if buffers.device.is_cpu:
-        blocks = -(-buffers.count // _BLOCK)
-        wp.launch(project_blocks, dim=blocks, inputs=[buffers.count, *inputs], device=buffers.device)
-    else:
-        wp.launch(project_samples, dim=buffers.count, inputs=inputs, device=buffers.device)
+    wide = buffers.device.is_cpu
+
+    def prepare() -> tuple[int, list[Any]]:
+        inputs = [
+            buffers.light_frame_of[light],
+            again,
+            buffers.samples,
+            buffers.valid,
+            buffers.rays_of(place),
+            buffers.states_of(light),
+            buffers.counters,
+        ]
+        return (-(-buffers.count // _BLOCK), [buffers.count, *inputs]) if wide else (buffers.count, inputs)
+
+    key = (light, place, int(again), buffers.count)
+    buffers.launch(project_blocks if wide else project_samples, key, prepare)

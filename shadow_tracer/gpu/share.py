@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ import warp as wp
 
 from shadow_tracer.gpu import projection, shadow_test, unproject
 from shadow_tracer.gpu.buffers import Change, FrameBuffers
+from shadow_tracer.gpu.kept_rays import KeptRays
 from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.pipelines import Pipeline, make_pipeline
 from shadow_tracer.gpu.stages import Stages
@@ -28,29 +30,36 @@ _RESOLVERS_CUDA = 65536
 class Share:
     """Rays and who finds their occluders.
 
+    Args:
+        keep: whether rays may be taken again while neither samples nor lights change.
+
     Attributes:
         frame: their buffers.
         names: pipeline and variant.
         pipeline: it.
         news: the worst that has happened to the scene since the pipeline took note.
+        seen: the version of the scene it took note of, -1 if there is none yet.
     """
 
-    def __init__(self, context: Context, pipeline: str, variant: str) -> None:
+    def __init__(self, context: Context, pipeline: str, variant: str, keep: bool = False) -> None:
         self.context = context
         self.frame: FrameBuffers = context.frame
         self.names = (pipeline, variant)
         self.pipeline: Pipeline = make_pipeline(pipeline, variant, context)
         self.news = Change.TOPOLOGY
+        self.seen = -1
+        self._kept = KeptRays(self.frame) if keep and self.pipeline.keeps_rays else None
+        self._again = False
 
     @property
     def stages(self) -> Stages:
         """Times of the stages."""
         return self.context.stages
 
-    def take_note(self) -> None:
-        """Tell the pipeline what has happened to the scene."""
+    def take_note(self, version: int) -> None:
+        """Tell the pipeline what has happened to the scene, which is at ``version`` now."""
         self.pipeline.update(self.news)
-        self.news = Change.NOTHING
+        self.news, self.seen = Change.NOTHING, version
 
     def begin(self, depth: wp.array | None) -> None:
         """Counters to zero; samples from a depth image if there is one."""
@@ -68,36 +77,37 @@ class Share:
             self.pipeline.prepare(work)
 
     def project(self, work: Pass, again: int = projection.FIRST_TIME) -> None:
-        """Rays of the samples."""
+        """Rays of the samples, unless they are there from the frame before."""
+        self._again = self._kept is not None and again == projection.FIRST_TIME and self._kept.recall(work)
+        if self._again:
+            return
         with self.stages.stage("project"):
             for place, light in enumerate(work.lights):
                 projection.project(self.frame, light.number, place, again)
+        if self._kept is None:
+            return
+        if again == projection.FIRST_TIME:
+            self._kept.keep(work)
+        else:
+            self._kept.forget()
 
     def trace(self, work: Pass) -> None:
         """Find their occluders, and decide the pairs on the queue."""
         frame, scene = self.frame, self.context.scene
         if scene.triangle_count == 0:
             return
-        self.pipeline.trace(work)
+        self.pipeline.trace(replace(work, keep=True, again=self._again) if self._kept is not None else work)
+        if self._kept is not None and work.attempt == work.part == 0:
+            self._kept.structured()
         threads = 1 if frame.device.is_cpu else min(_RESOLVERS_CUDA, frame.bounds.queue_capacity)
+
+        def prepare() -> tuple[int, list[Any]]:
+            inputs = [frame.lights_from(work.first), frame.count, threads, frame.queue]
+            inputs += [frame.queue_count_of[work.first], frame.samples, scene.vertices, scene.triangles]
+            return threads, [*inputs, frame.states_of(work.first, len(work.lights)), frame.counters]
+
         with self.stages.stage("resolve"):
-            wp.launch(
-                shadow_test.resolve_queue,
-                dim=threads,
-                inputs=[
-                    frame.lights_from(work.first),
-                    frame.count,
-                    threads,
-                    frame.queue,
-                    frame.queue_count_of[work.first],
-                    frame.samples,
-                    scene.vertices,
-                    scene.triangles,
-                    frame.states_of(work.first, len(work.lights)),
-                    frame.counters,
-                ],
-                device=frame.device,
-            )
+            frame.launch(shadow_test.resolve_queue, (work.first, len(work.lights), frame.count), prepare)
 
     def finish_overflow(self, passes: Sequence[Pass]) -> int:
         """Further passes for lights whose queue overflowed, or whose pipeline had more work than its lists hold. Only
@@ -134,6 +144,10 @@ class Share:
             parts = int(frame.parts_of[work.first].numpy()[0])
             part += 1
         return overflowed or bool(frame.deferred.numpy()[0]), part
+
+    def nbytes(self) -> int:
+        """Bytes reserved beyond the buffers, on the device and, for rays that are kept, on the host."""
+        return self.pipeline.nbytes() + (self._kept.nbytes() if self._kept is not None else 0)
 
     def copy_states(self, lights: int, into: npt.NDArray[np.uint8]) -> None:
         """Copy the states for ``lights`` lights into their columns of (L, N) ``into``."""

@@ -72,12 +72,11 @@ class KeySort:
     def sort(self, count: int, first_bit: int, last_bit: int) -> None:
         """Sort the first ``count`` pairs by the bits of their keys from ``first_bit`` up to, but without,
         ``last_bit``."""
-        if count < 2:
-            return
         if self.keys.device.is_cpu:
+            # However few: then the kernel is loaded in the first frame, whatever is in it.
             inputs = [count, first_bit, last_bit, self.keys, self.values]
             wp.launch(sort_pairs_cpu, dim=1, inputs=inputs, device=self.keys.device)
-        else:
+        elif count > 1:
             wp.utils.radix_sort_pairs(self.keys, self.values, count, first_bit, last_bit)
 
     def nbytes(self) -> int:

@@ -19,12 +19,12 @@ from shadow_tracer.gpu.light_frame import LightFrame, frame_coordinates
 
 # Unit roundoff of float32, and the factor in front of it: the filter's evaluation chain has at most 6 roundings, 8 are
 # allowed.
-_U32 = 2.0**-24
+U32 = 2.0**-24
 FILTER_FACTOR = 8.0
 # Bound of the float64 errors of frame coordinates and of products of them, relative to the magnitudes involved.
-_SETUP_ERROR = 2.0**-46
+SETUP_ERROR = 2.0**-46
 # A plane's offset beyond this may not fit in float32: its bound is infinite, so that it decides nothing there.
-_LARGEST_OFFSET = 1.0e38
+LARGEST_OFFSET = 1.0e38
 
 
 @wp.func
@@ -41,7 +41,7 @@ def edge_plane(a: wp.vec4d, e: wp.vec4d) -> wp.vec4d:
     reach = wp.float64(1.0) + wp.abs(a[0]) + wp.abs(a[1]) + wp.abs(a[2]) + wp.abs(a[3])
     length = wp.abs(e[0]) + wp.abs(e[1]) + wp.abs(e[2]) + wp.abs(e[3])
     n = n / size
-    return wp.vec4d(n[0], n[1], n[2], wp.float64(_SETUP_ERROR) * reach * length / size)
+    return wp.vec4d(n[0], n[1], n[2], wp.float64(SETUP_ERROR) * reach * length / size)
 
 
 @wp.func
@@ -62,14 +62,14 @@ def own_plane(a: wp.vec4d, ab: wp.vec4d, ac: wp.vec4d, sign: wp.float64, roundin
     size = largest(n)
     l1 = wp.abs(e1[0]) + wp.abs(e1[1]) + wp.abs(e1[2])
     l2 = wp.abs(e2[0]) + wp.abs(e2[1]) + wp.abs(e2[2])
-    n_error = wp.float64(_SETUP_ERROR) * l1 * l2 / size
+    n_error = wp.float64(SETUP_ERROR) * l1 * l2 / size
     # The frame (r, s, f) is right-handed, so det[U V Z] keeps the sign; the light's side of the plane becomes negative.
     n = n * (-sign / size)
     d = n[0] * a[0] + n[1] * a[1] + n[2] * a[3]
     extent = wp.float64(1.0) + wp.abs(a[0]) + wp.abs(a[1]) + wp.abs(a[3])
     s_plane = rounding + wp.float64(2.0) * n_error
-    s_offset = rounding * wp.abs(d) + wp.float64(2.0) * (n_error + wp.float64(_SETUP_ERROR)) * extent
-    if not wp.abs(d) < wp.float64(_LARGEST_OFFSET):
+    s_offset = rounding * wp.abs(d) + wp.float64(2.0) * (n_error + wp.float64(SETUP_ERROR)) * extent
+    if not wp.abs(d) < wp.float64(LARGEST_OFFSET):
         s_offset = wp.float64(wp.inf)
     return wp.vec4d(n[0], n[1], n[2], d), s_plane, s_offset
 
@@ -130,7 +130,7 @@ def prepare_triangles(
     sign = wp.float64(1.0)
     if side < 0:
         sign = wp.float64(-1.0)
-    u32 = wp.float64(_U32)
+    u32 = wp.float64(U32)
     edge_error = wp.max(wp.max(p0[3], p1[3]), p2[3])
     s_edge = factor * u32 + wp.float64(2.0) * edge_error
 
@@ -142,7 +142,7 @@ def prepare_triangles(
 
 
 # Triangles per thread of the vectorised loops; their corners and planes stay in the first-level cache.
-_BLOCK = 128
+BLOCK = 128
 
 
 # First the side the light is on, as tier 1 of exact.py decides it, without contraction; what it leaves open gets the
@@ -157,6 +157,7 @@ _BLOCK = 128
     wp::uint8 open[128];
     typedef float Four[4];
     Four record[4][128];
+    float corner[12][128];
     for (int j = 0; j < n; ++j) {
         const wp::vec3i corners = triangles.data[first + j];
         const wp::vec3d &a = vertices.data[corners[0]], &b = vertices.data[corners[1]], &c = vertices.data[corners[2]];
@@ -196,9 +197,12 @@ _BLOCK = 128
         front += off;
         side[j] = off ? 0.0 : side[j];
     }
-    const int row = (first / 128) & 63;
-    wp::atomic_add(&degenerate.data[row], nothing);
-    wp::atomic_add(&culled.data[row], front);
+    const int row = first_row + ((first / 128) & 63);
+    // Several threads may make records of one light.
+    if (nothing)
+        __atomic_fetch_add(&degenerate.data[row], nothing, __ATOMIC_RELAXED);
+    if (front)
+        __atomic_fetch_add(&culled.data[row], front, __ATOMIC_RELAXED);
     {
 #pragma clang fp contract(fast)
         const double scale = frame.inverse_scale, w_constant = frame.w_constant, w_slope = frame.w_slope;
@@ -225,6 +229,9 @@ _BLOCK = 128
             const Place a = turned(ax[j] - ox, ay[j] - oy, az[j] - oz, w_constant);
             const Place b = turned(bx[j] - ox, by[j] - oy, bz[j] - oz, w_constant);
             const Place c = turned(cx[j] - ox, cy[j] - oy, cz[j] - oz, w_constant);
+            corner[0][j] = a.u; corner[1][j] = a.v; corner[2][j] = a.w; corner[3][j] = a.z;
+            corner[4][j] = b.u; corner[5][j] = b.v; corner[6][j] = b.w; corner[7][j] = b.z;
+            corner[8][j] = c.u; corner[9][j] = c.v; corner[10][j] = c.w; corner[11][j] = c.z;
             const Place ab = turned(bx[j] - ax[j], by[j] - ay[j], bz[j] - az[j], 0.0);
             const Place bc = turned(cx[j] - bx[j], cy[j] - by[j], cz[j] - bz[j], 0.0);
             const Place ca = turned(ax[j] - cx[j], ay[j] - cy[j], az[j] - cz[j], 0.0);
@@ -247,7 +254,16 @@ _BLOCK = 128
             record[3][j][0] = x; record[3][j][1] = y; record[3][j][2] = z; record[3][j][3] = d;
         }
     }
-    wp::vec4* __restrict__ out = records.data + 4 * (size_t)first;
+    if (corners.shape[0] > 0) {
+        // Lanes behind the last triangle repeat it.
+        for (int j = n; j % 16; ++j)
+            for (int k = 0; k < 12; ++k)
+                corner[k][j] = corner[k][n - 1];
+        for (int j = 0; j < n; j += 16)
+            for (int k = 0; k < 12; ++k)
+                memcpy(corners.data + 12 * (size_t)(first_corner + j) + 16 * k, corner[k] + j, 64);
+    }
+    wp::vec4* __restrict__ out = records.data + 4 * (size_t)first_record;
     for (int j = 0; j < n; ++j)
         for (int k = 0; k < 4; ++k)
             memcpy(out + 4 * j + k, record[k][j], 16);
@@ -269,12 +285,19 @@ def prepare_block(
     largest_offset: wp.float64,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
+    first_record: int,
     records: wp.array2d(dtype=wp.vec4),
+    first_corner: int,
+    corners: wp.array(dtype=float),
     cull: int,
+    first_row: int,
     degenerate: wp.array(dtype=int),
     culled: wp.array(dtype=int),
 ):
-    """``prepare_triangles`` for up to 128 triangles from ``first`` on, vectorised over triangles."""
+    """``prepare_triangles`` for up to 128 triangles from ``first`` on, vectorised over triangles. Records go to
+    ``first_record`` on and, if there are any ``corners``, theirs to ``first_corner`` on (counted in triangles, a
+    multiple of 16): [sixteen][corner][U V W Z][16], each within 2^-24 relative and 2^-46 (1 + its distance from the
+    anchor) of exact. Those that cast nothing are counted in rows from ``first_row`` on."""
     ...
 
 
@@ -290,18 +313,24 @@ def prepare_blocks(
     degenerate: wp.array(dtype=int),
     culled: wp.array(dtype=int),
 ):
+    first = wp.tid() * BLOCK
+    no_corners = wp.array(ptr=wp.uint64(0), shape=(0,), dtype=float)
     prepare_block(
-        wp.tid() * _BLOCK,
+        first,
         count,
         light[0],
         factor,
-        wp.float64(_U32),
-        wp.float64(_SETUP_ERROR),
-        wp.float64(_LARGEST_OFFSET),
+        wp.float64(U32),
+        wp.float64(SETUP_ERROR),
+        wp.float64(LARGEST_OFFSET),
         vertices,
         triangles,
+        first,
         records,
+        0,
+        no_corners,
         cull,
+        0,
         degenerate,
         culled,
     )
@@ -332,7 +361,7 @@ def prepare(
     ]
     count = scene.triangle_count
     if records.device.is_cpu:
-        blocks = -(-count // _BLOCK)
+        blocks = -(-count // BLOCK)
         wp.launch(prepare_blocks, dim=blocks, inputs=[count, *inputs], device=records.device)
     else:
         wp.launch(prepare_triangles, dim=count, inputs=inputs, device=records.device)

@@ -4,6 +4,7 @@ scene or the culling has changed."""
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -31,8 +32,8 @@ class TriangleRecords:
         self._frame = frame
         self._scene = scene
         places = frame.bounds.max_lights
-        self._degenerate = [wp.zeros(64, dtype=int, device=frame.device) for _ in range(places)]
-        self._culled = [wp.zeros(64, dtype=int, device=frame.device) for _ in range(places)]
+        self._degenerate = wp.zeros(64 * places, dtype=int, device=frame.device)
+        self._culled = wp.zeros(64 * places, dtype=int, device=frame.device)
         self._made_for: dict[int, tuple[object, ...]] = {}
         self._stale: dict[int, bool] = {}
         self._places = 1
@@ -72,19 +73,22 @@ class TriangleRecords:
 
     def prepare(self, frame: LightFrame) -> bool:
         """Make the records for the light of ``frame`` unless they are there; returns whether they were made."""
-        if not self._stale[frame.number]:
+        if not self.begin(frame):
             return False
-        self._stale[frame.number] = False
-        place = self.place(frame.number)
         prepare(
             self.light_frame(frame.number),
             self._scene,
             self.of(frame.number),
             self.front_face_culling,
-            self._degenerate[place],
-            self._culled[place],
+            *self.silent_of(frame.number),
         )
         return True
+
+    def begin(self, frame: LightFrame) -> bool:
+        """``prepare`` for somebody who makes the records by other means: whether they are to be made."""
+        stale = self._stale[frame.number]
+        self._stale[frame.number] = False
+        return stale
 
     def light_frame(self, light: int) -> wp.array:
         """The frame of light number ``light``, as kernels read it."""
@@ -96,14 +100,19 @@ class TriangleRecords:
         count = self._scene.triangle_count
         return self._slices(self._frame.records, self.place(light) * count, lights * count)
 
+    def silent_of(self, light: int, lights: int = 1) -> tuple[wp.array, wp.array]:
+        """64 integers for each of ``lights`` lights from number ``light`` on, whose sum is the number of triangles that
+        cast nothing because they are degenerate; and because they are culled."""
+        first, count = 64 * self.place(light), 64 * lights
+        return self._slices(self._degenerate, first, count), self._slices(self._culled, first, count)
+
     def silent(self, light: int) -> tuple[int, int]:
-        """Triangles that cast nothing for light number ``light``: degenerate ones, and those culled. Waits for the
-        device."""
+        """Triangles that cast nothing for light number ``light``, of those that there are records of: degenerate ones,
+        and those culled. Waits for the device."""
         if self._scene.triangle_count == 0:
             return 0, 0
-        place = self.place(light)
-        degenerate = int(self._degenerate[place].numpy().sum())
-        return degenerate, int(self._culled[place].numpy().sum()) if self.front_face_culling else 0
+        degenerate, culled = self.silent_of(light)
+        return int(degenerate.numpy().sum()), int(culled.numpy().sum()) if self.front_face_culling else 0
 
     def forget(self) -> None:
         """Make them again next time, whatever is there."""
@@ -112,9 +121,26 @@ class TriangleRecords:
 
 @dataclass
 class Shared:
-    """What pipelines make of a light beside its records, once for all that work on the scene: the ``Corners``."""
+    """What pipelines make of a light beside its records, once for all that work on the scene: ``Corners`` and
+    ``CandidateRecords``."""
 
     corners: Any = None
+    candidates: Any = None
+
+    def free_unused(self) -> None:
+        """Free what no pipeline holds any more."""
+        # Let go of each, and take it again if somebody else still has it.
+        for name in vars(self):
+            part = getattr(self, name)
+            if part is not None:
+                still_held = weakref.ref(part)
+                setattr(self, name, None)
+                del part
+                setattr(self, name, still_held())
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return sum(part.nbytes() for part in (self.corners, self.candidates) if part is not None)
 
 
 @dataclass(frozen=True)

@@ -159,10 +159,11 @@ wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.uint16)})
 def unproject_image(depth: wp.array, buffers: FrameBuffers) -> None:
     """Samples and validity of the ``buffers.count`` pixels of ``depth``, float32 metres or uint16 millimetres, seen by
     ``buffers.pinhole``."""
-    units = wp.float64(1.0 if depth.dtype == wp.float32 else 1000.0)
-    inputs = [buffers.pinhole, units, depth, buffers.samples, buffers.valid]
-    if buffers.device.is_cpu:
-        blocks = -(-buffers.count // _BLOCK)
-        wp.launch(unproject_blocks, dim=blocks, inputs=[buffers.count, *inputs], device=buffers.device)
-    else:
-        wp.launch(unproject, dim=buffers.count, inputs=inputs, device=buffers.device)
+    wide = buffers.device.is_cpu
+
+    def prepare() -> tuple[int, list[Any]]:
+        units = wp.float64(1.0 if depth.dtype == wp.float32 else 1000.0)
+        inputs = [buffers.pinhole, units, depth, buffers.samples, buffers.valid]
+        return (-(-buffers.count // _BLOCK), [buffers.count, *inputs]) if wide else (buffers.count, inputs)
+
+    buffers.launch(unproject_blocks if wide else unproject, (depth.ptr, buffers.count), prepare)

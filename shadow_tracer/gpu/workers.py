@@ -11,6 +11,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 # Beyond, the triangles that every thread looks at cost more than the rays it need not.
 MOST = 8
 
+Job = Callable[[], None]
+
 
 def available_cores() -> int:
     """Cores that this process may use, at most :data:`MOST`."""
@@ -29,7 +31,7 @@ class Workers:
         self.count = count
         self._pool: ThreadPoolExecutor | None = None
 
-    def run(self, jobs: Sequence[Callable[[], None]]) -> None:
+    def run(self, jobs: Sequence[Job]) -> None:
         """Do all jobs, at most ``count``; returns, or raises what one of them raised, when all have ended."""
         if len(jobs) > 1 and self._pool is None:
             self._pool = ThreadPoolExecutor(self.count - 1, "shadow_tracer")

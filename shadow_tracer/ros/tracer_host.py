@@ -123,7 +123,7 @@ class TracerHost:
         """Trace a built-in scene on every pipeline; the outcome's value is a list of :class:`self_test.Result`."""
 
         def work() -> list[Result]:
-            return run(self._needed().device)
+            return run(self._needed().device, threads=self._needed().threads)
 
         self._submit(_Job("self-test", work, done))
 

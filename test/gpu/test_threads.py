@@ -60,6 +60,21 @@ def test_every_number_of_threads_gives_the_same_bits(names: tuple[str, str], thr
     assert sum(part.frame.count for part in shares(made)) == _COUNT
 
 
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_shares_divide_what_is_made_on_demand(threads: int) -> None:
+    """Whoever makes it, it is the same; and everything that any share asked for is there."""
+    seen = view()
+    made, one = tracer(("light_grid", "packed"), threads), tracer(("light_grid", "packed"), 1)
+    for step in range(3):
+        moved = replace(seen, vertices=seen.vertices + 0.01 * step)
+        assert np.array_equal(states(made, moved), states(one, moved))
+    for part in shares(made):
+        way: Any = part.pipeline._way  # type: ignore[attr-defined]
+        asked = way._clusters.numpy()[: way._ends.numpy()[0]]
+        assert len(asked) and (np.diff(asked) > 0).all()
+        assert (way._candidates._made.numpy()[np.unique(asked // 8)] == 2).all()
+
+
 @pytest.mark.parametrize("kept", ["top", "bottom", "middle", "none", "one"])
 def test_measurements_in_one_place(kept: str) -> None:
     """Bands have equal numbers of measurements, as far as there is room: half of all pixels at most."""

@@ -194,7 +194,7 @@ def test_cleaning_up_waits_for_what_runs(rig: Rig, monkeypatch: pytest.MonkeyPat
     import threading
 
     gate = threading.Event()
-    monkeypatch.setattr(tracer_host, "run", lambda _device: gate.wait(60.0) and [])
+    monkeypatch.setattr(tracer_host, "run", lambda *_, **__: gate.wait(60.0) and [])
     assert change(rig, Transition.TRANSITION_CONFIGURE)
     rig.core.host.self_test(lambda _outcome: None)
     assert not change(rig, Transition.TRANSITION_CLEANUP)

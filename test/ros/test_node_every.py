@@ -117,7 +117,7 @@ def test_images_that_come_while_kernels_load_are_answered(monkeypatch: pytest.Mo
 
 def test_more_than_can_wait_are_dropped_with_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = threading.Event()
-    monkeypatch.setattr(tracer_host, "run", lambda _device: gate.wait(60.0) and [])
+    monkeypatch.setattr(tracer_host, "run", lambda *_, **__: gate.wait(60.0) and [])
     monkeypatch.setattr(FrameQueue, "CAPACITY_EVERY", 4)
     with Rig(EVERY) as rig:
         rig.core.host.self_test(lambda _outcome: None)

@@ -243,7 +243,7 @@ def test_more_than_can_wait_are_dropped_and_counted(monkeypatch: pytest.MonkeyPa
     from shadow_tracer.ros import tracer_host
 
     gate = threading.Event()
-    monkeypatch.setattr(tracer_host, "run", lambda _device: gate.wait(60.0) and [])
+    monkeypatch.setattr(tracer_host, "run", lambda *_, **__: gate.wait(60.0) and [])
     with Rig(LIGHTS) as rig:
         rig.core.host.self_test(lambda _outcome: None)
         answers = rig.collect(PointCloud2, "shadow_tracer/query/visibility")

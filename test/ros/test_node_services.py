@@ -50,7 +50,7 @@ def test_a_disagreement_is_said(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> No
         Result("light_grid", "packed", False, 7, 0.2, ""),
         Result("mesh_bvh", "refit", False, 99, 0.3, "the driver is gone"),
     ]
-    monkeypatch.setattr(tracer_host, "run", lambda _device: results)
+    monkeypatch.setattr(tracer_host, "run", lambda *_, **__: results)
     response = rig.call(SelfTest, SERVICE)
     assert response.passed == b"\x00"
     assert [status.level for status in response.status] == [OK, ERROR, ERROR]
@@ -60,7 +60,7 @@ def test_a_disagreement_is_said(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_test_that_cannot_be_made_has_not_passed(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(_device: str) -> Any:
+    def broken(_device: str, **_: Any) -> Any:
         raise MemoryError("no room for a second tracer")
 
     monkeypatch.setattr(tracer_host, "run", broken)
@@ -75,7 +75,7 @@ def test_meanwhile_the_node_answers_and_frames_wait(rig: Rig, monkeypatch: pytes
     before = rig.trace(wall())
     gate, entered = threading.Event(), []
 
-    def slow(device: str) -> list[Result]:
+    def slow(device: str, **_: Any) -> list[Result]:
         entered.append(device)
         assert gate.wait(60.0)
         return [Result("light_grid", "packed", True, 0, 0.1, "")]
@@ -101,7 +101,7 @@ def test_a_node_that_starts_tests_itself_when_it_can(monkeypatch: pytest.MonkeyP
     gate = threading.Event()
     warm_up = tracer_host.ShadowTracer.warm_up
     monkeypatch.setattr(tracer_host.ShadowTracer, "warm_up", lambda self: gate.wait(60.0) and warm_up(self))
-    monkeypatch.setattr(tracer_host, "run", lambda _device: [Result("light_grid", "packed", True, 0, 0.1, "")])
+    monkeypatch.setattr(tracer_host, "run", lambda *_, **__: [Result("light_grid", "packed", True, 0, 0.1, "")])
     with Rig(start=False) as rig:
         rig.start(wait=False)
         future = rig.request(SelfTest, SERVICE)

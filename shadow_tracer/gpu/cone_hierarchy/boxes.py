@@ -291,7 +291,7 @@ class RayTreeBuffers:
                 kernel, inputs = make_parents, [level, nodes, tree]
             wp.launch(kernel, dim=groups * branch, inputs=inputs, device=device)
             level += 1
-            if groups == 1:
+            if groups <= 1:  # 0 if there are no samples
                 break
             nodes = groups
         tree.levels = level

@@ -23,6 +23,7 @@ class LinearHierarchy:
     """The pipeline's variant ``linear``; see ``boxes.py`` and ``descent.py``."""
 
     lights_together = 1
+    keeps_rays = False
 
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context

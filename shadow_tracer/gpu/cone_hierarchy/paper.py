@@ -67,6 +67,7 @@ class PaperHierarchy:
 
     recordable = False
     lights_together = 1
+    keeps_rays = False
 
     def __init__(self, variant: str, context: Context) -> None:
         self._recipe = recipe = _RECIPES[variant]

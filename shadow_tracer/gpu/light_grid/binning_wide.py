@@ -2,9 +2,10 @@
 """Triangles into tiles and tiles traced, sixteen boxes or rays at a time, for the CPU. ``binning.py`` does the same on
 CUDA.
 
-Triangles are taken in order. (Tile, triangle) entries gather in a list of limited length; whenever it is full, it is
-sorted by tile and traced, tile by tile: the rays of a tile stay in registers while its triangles pass by. A limit far
-below all entries has two advantages: the list stays in the cache, and tiles that are finished take no more entries.
+Triangles are taken in order, those that may concern any ray (``candidates.py``). (Tile, triangle) entries gather in a
+list of limited length; whenever it is full, it is sorted by tile and traced, tile by tile: the rays of a tile stay in
+registers while its triangles pass by. A limit far below all entries has two advantages: the list stays in the cache,
+and tiles that are finished take no more entries.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from shadow_tracer.gpu.light_space import LightSpace, space_of
 from shadow_tracer.gpu.participants import Answers
 from shadow_tracer.gpu.shadow_test import FILTER_SIXTEEN
 from shadow_tracer.gpu.triangle_planes import TRIANGLE, Occluders
+from shadow_tracer.gpu.triangle_setup import BLOCK
 
 
 @wp.struct
@@ -220,8 +222,8 @@ _BIN = (
             }
         }
     };
-    for (int first = 0; first < occluders.count; first += 16) {
-        const int all = gather(first);
+    for (int k = first_cluster; k < last_cluster; ++k) {
+        const int first = 16 * clusters.data[k], all = gather(first);
         bool taken = false;
         for (int face = 0; face < 6; ++face) {
             const int group = 6 * place + face;
@@ -252,13 +254,17 @@ def bin_light(
     all_entries: int,
     first_record: int,
     first_corner: int,
+    first_cluster: int,
+    last_cluster: int,
+    clusters: wp.array(dtype=int),
+    corners: wp.array(dtype=float),
     space: LightSpace,
     tiles: Tiles,
     occluders: Occluders,
     list: EntryList,
     answers: Answers,
 ):
-    """All triangles of the light at ``place``; entries that are left stay in the list."""
+    """The triangles of some clusters, and the light at ``place``; entries that are left stay in the list."""
     ...
 
 
@@ -271,13 +277,17 @@ def trace_list(space: LightSpace, tiles: Tiles, occluders: Occluders, list: Entr
 @wp.kernel(enable_backward=False)
 def bin_wide(
     lights: wp.array(dtype=LightFrame),
-    vertices: int,
+    clusters: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    corners: wp.array(dtype=float),
     tiles: Tiles,
     occluders: Occluders,
     list: EntryList,
     answers: Answers,
 ):
-    """One thread."""
+    """One thread. ``clusters``, ``ends`` and ``corners`` are those of ``candidates.py``."""
+    blocks = (occluders.count + BLOCK - 1) // BLOCK
+    first = int(0)
     slots = 16 * tiles.counts[2]
     for k in range(slots):
         list.total[k] = 0
@@ -289,13 +299,18 @@ def bin_wide(
             place,
             ENTRIES,
             place * occluders.count,
-            place * vertices,
+            place * blocks * BLOCK,
+            first,
+            ends[place],
+            clusters,
+            corners,
             space_of(lights[place]),
             tiles,
             occluders,
             list,
             answers,
         )
+        first = ends[place]
     trace_list(space_of(lights[0]), tiles, occluders, list, answers)
     largest = int(0)
     for k in range(slots):

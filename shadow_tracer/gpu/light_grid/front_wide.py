@@ -5,11 +5,11 @@ registers, and what it rejects without looking at a record."""
 from __future__ import annotations
 
 # C++ for native functions, behind triangle_planes.TRIANGLE and shadow_test.SIXTEEN. Expects `tiles`, `occluders`,
-# `place` of the light, `aligned`, and `first_corner` of the light's corners; defines:
-# gather(t): takes up triangles t to t + 15 (the last one repeated), returns those there are as bits;
+# `corners` (see triangle_setup.prepare_block), `first_corner` of the light's, its `place`, and `aligned`; defines:
+# gather(t): takes up triangles t to t + 15, t a multiple of 16, returns those there are as bits;
 # bound(face): those of them that may touch the face, as bits, their bounds in `low_u` etc., `bounded` as bits.
 BOUNDS = r"""
-    float corner[3][4][16];
+    const float* corner = nullptr;
     Sixteen reach;
     float low_u[16], high_u[16], low_v[16], high_v[16], nearest[16];
     int bounded = 0, faces_of[6];
@@ -18,17 +18,10 @@ BOUNDS = r"""
     auto size_of = [&](Sixteen x) -> Sixteen { return larger(x, -x); };
     auto least = [&](Sixteen x, Sixteen y, Sixteen z) -> Sixteen { return smaller(smaller(x, y), z); };
     auto most = [&](Sixteen x, Sixteen y, Sixteen z) -> Sixteen { return larger(larger(x, y), z); };
-    auto at = [&](int k, int component) -> Sixteen { return *(const Sixteen*)corner[k][component]; };
+    auto at = [&](int k, int component) -> Sixteen { return *(const Sixteen*)(corner + 64 * k + 16 * component); };
     auto gather = [&](int t) -> int {
         const int n = occluders.count - t < 16 ? occluders.count - t : 16;
-        for (int j = 0; j < 16; ++j) {
-            const wp::vec3i& of = occluders.triangles.data[t + (j < n ? j : n - 1)];
-            for (int k = 0; k < 3; ++k) {
-                const wp::vec4& p = occluders.corners.data[first_corner + of[k]];
-                for (int c = 0; c < 4; ++c)
-                    corner[k][c][j] = p[c];
-            }
-        }
+        corner = corners.data + 12 * (size_t)(first_corner + t);
         auto length = [&](int k) -> Sixteen {
             return size_of(at(k, 0)) + size_of(at(k, 1)) + size_of(at(k, 2)) + size_of(at(k, 3));
         };

@@ -8,11 +8,11 @@ import warp as wp
 from shadow_tracer.gpu.light_grid.tiles import Tiles
 from shadow_tracer.gpu.shadow_test import SIXTEEN
 
-# U, V, W of the 16 rays from `base` on, and which of them are in tiles; lanes behind the last sample repeat it.
+# U, V, W, Z of the 16 rays from `base` on, and which of them are in tiles; lanes behind the last sample repeat it.
 _SIXTEEN_RAYS = (
     SIXTEEN
     + r"""
-    Sixteen U, V, W;
+    Sixteen U, V, W, Z;
     SixteenInts in;
     const wp::uint8* group_of = group.data + (size_t)place * tiles.samples;
     const wp::vec4* ray_of = rays.data + (size_t)place * tiles.samples;
@@ -46,6 +46,7 @@ _SIXTEEN_RAYS = (
         U = SHADOW_TRACER_LANE(0);
         V = SHADOW_TRACER_LANE(1);
         W = SHADOW_TRACER_LANE(2);
+        Z = SHADOW_TRACER_LANE(3);
 #undef SHADOW_TRACER_LANE
         return true;
     };
@@ -56,7 +57,7 @@ _MEASURE = (
     _SIXTEEN_RAYS
     + r"""
     const Sixteen most = 1.0e30f;
-    Sixteen u0 = most, u1 = -most, v0 = most, v1 = -most;
+    Sixteen u0 = most, u1 = -most, v0 = most, v1 = -most, farthest = -most, deepest = most;
     bool aligned = true;
     int some = 0;
     for (int base = 0; base < tiles.samples && aligned; base += 16) {
@@ -69,16 +70,22 @@ _MEASURE = (
         u1 = in ? larger(u1, u) : u1;
         v0 = in ? smaller(v0, v) : v0;
         v1 = in ? larger(v1, v) : v1;
+        const Sixteen pad = 0x1p-20f * (size_of(U) + size_of(V) + W + size_of(Z));
+        farthest = in ? larger(farthest, W + pad) : farthest;
+        deepest = in ? smaller(deepest, Z - pad) : deepest;
     }
     wp::vec4* fit = tiles.fit.data + 6 * place;
-    auto note = [&](int face, Sixteen a0, Sixteen a1, Sixteen b0, Sixteen b1) {
-        float low_u = 2.0f, high_u = -2.0f, low_v = 2.0f, high_v = -2.0f;
+    auto note = [&](int face, Sixteen a0, Sixteen a1, Sixteen b0, Sixteen b1, Sixteen axis, Sixteen z) {
+        float low_u = 2.0f, high_u = -2.0f, low_v = 2.0f, high_v = -2.0f, far = -3.0e38f, deep = 3.0e38f;
         for (int j = 0; j < 16; ++j) {
             low_u = a0[j] < low_u ? a0[j] : low_u;
             high_u = a1[j] > high_u ? a1[j] : high_u;
             low_v = b0[j] < low_v ? b0[j] : low_v;
             high_v = b1[j] > high_v ? b1[j] : high_v;
+            far = axis[j] > far ? axis[j] : far;
+            deep = z[j] < deep ? z[j] : deep;
         }
+        tiles.far.data[6 * place + face] = wp::vec2(far + 0x1p-40f, deep - 0x1p-40f);
         const float wide = high_u - low_u, high = high_v - low_v;
         fit[face] = low_u > high_u ? wp::vec4(0.0f, 0.0f, 0.0f, 0.0f)
                                    : wp::vec4(low_u, low_v, 4096.0f / (wide > 1.0e-12f ? wide : 1.0e-12f),
@@ -89,12 +96,14 @@ _MEASURE = (
         for (int face = 0; face < 6; ++face)
             fit[face] = wp::vec4(0.0f, 0.0f, 0.0f, 0.0f);
         if (some)
-            note(4, u0, u1, v0, v1);
+            note(4, u0, u1, v0, v1, farthest, deepest);
         return;
     }
-    Sixteen low_u[6], high_u[6], low_v[6], high_v[6];
-    for (int face = 0; face < 6; ++face)
-        low_u[face] = low_v[face] = most, high_u[face] = high_v[face] = -most;
+    Sixteen low_u[6], high_u[6], low_v[6], high_v[6], far_of[6], deep_of[6];
+    for (int face = 0; face < 6; ++face) {
+        low_u[face] = low_v[face] = deep_of[face] = most;
+        high_u[face] = high_v[face] = far_of[face] = -most;
+    }
     for (int base = 0; base < tiles.samples; base += 16) {
         if (!look(base))
             continue;
@@ -102,6 +111,7 @@ _MEASURE = (
         const SixteenInts on_u = (sizes[0] >= sizes[1]) & (sizes[0] >= sizes[2]), on_v = ~on_u & (sizes[1] >= sizes[2]);
         const SixteenInts on[3] = { on_u, on_v, ~(on_u | on_v) };
         const Sixteen at[3] = { U, V, W };
+        const Sixteen pad = 0x1p-20f * (sizes[0] + sizes[1] + sizes[2] + size_of(Z));
         for (int axis = 0; axis < 3; ++axis) {
             if (bits(on[axis] & in) == 0)
                 continue;
@@ -114,11 +124,13 @@ _MEASURE = (
                 high_u[face] = take ? larger(high_u[face], u) : high_u[face];
                 low_v[face] = take ? smaller(low_v[face], v) : low_v[face];
                 high_v[face] = take ? larger(high_v[face], v) : high_v[face];
+                far_of[face] = take ? larger(far_of[face], sizes[axis] + pad) : far_of[face];
+                deep_of[face] = take ? smaller(deep_of[face], Z - pad) : deep_of[face];
             }
         }
     }
     for (int face = 0; face < 6; ++face)
-        note(face, low_u[face], high_u[face], low_v[face], high_v[face]);
+        note(face, low_u[face], high_u[face], low_v[face], high_v[face], far_of[face], deep_of[face]);
 """
 )
 

@@ -4,15 +4,20 @@ device."""
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Any
 
 import warp as wp
 
 from shadow_tracer.gpu.buffers import Change, Slices
+from shadow_tracer.gpu.clusters import CLUSTER
 from shadow_tracer.gpu.corners import Corners
-from shadow_tracer.gpu.light_grid import binning, binning_wide, packing_wide, tracing
+from shadow_tracer.gpu.launches import Launches
+from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.light_grid import binning, binning_wide, candidates, packing_wide, tracing
+from shadow_tracer.gpu.light_grid.candidates import CandidateRecords
 from shadow_tracer.gpu.light_grid.packing import Packer
-from shadow_tracer.gpu.light_grid.tiles import TileBuffers
+from shadow_tracer.gpu.light_grid.tiles import ALL_BLOCKS, QUANTITIES, TileBuffers
 from shadow_tracer.gpu.light_space import FACES
 from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.passes import Pass
@@ -33,21 +38,20 @@ class PackedGrid:
         self._context = context
         self.lights_together = context.frame.bounds.max_lights
         self._participants = Participants(context)
-        self._corners = Corners.shared(context)
         self._buffers = TileBuffers(context.frame)
         wide = context.frame.device.is_cpu and variant == "packed"
-        self._way: _Wide | _Scalar = (_Wide if wide else _Scalar)(context, self._buffers)
-        self.recordable = True
+        self._way: _Wide | _Scalar = (_Wide if wide else _Scalar)(context, self._buffers, self._participants)
+        self.recordable, self.keeps_rays = True, wide
 
     def update(self, change: Change) -> None:
-        """Nothing is kept of the scene but what the shared buffers keep."""
+        """What is kept of the scene is shared."""
+        self._way.update(change)
 
     def prepare(self, work: Pass) -> None:
         """Records and corners of the lights."""
         with self._context.stages.stage("setup"):
             for light in work.lights:
-                if self._context.records.prepare(light):
-                    self._corners.make(light)
+                self._way.prepare(light)
 
     def trace(self, work: Pass) -> None:
         """Pack the rays of the pass, sort the triangles into their tiles, test."""
@@ -56,15 +60,16 @@ class PackedGrid:
         tiles.lights, tiles.samples = count, context.frame.count
         if work.part == 0:
             with stages.stage("pack"):
-                self._participants.choose(work)
-                self._way.pack(work, self._participants.group)
+                if work.again:
+                    self._participants.choose_again(count)
+                    self._way.unpack()
+                else:
+                    self._participants.choose(work)
+                    self._way.pack(work)
+            with stages.stage("setup"):
+                self._way.choose(work)
         with stages.stage("trace"):
-            occluders = Occluders()
-            occluders.count = context.scene.triangle_count
-            occluders.triangles = context.scene.triangles
-            occluders.corners = self._corners.of(work.first, count)
-            occluders.records = context.records.of(work.first, count)
-            self._way.trace(work, occluders, self._participants.answers(work))
+            self._way.trace(work)
             if work.part == 0:
                 self._participants.finish(work)
 
@@ -76,11 +81,20 @@ class PackedGrid:
         return sum(part.nbytes() for part in (self._participants, self._buffers, self._way))
 
 
+def _occluders(context: Context, work: Pass) -> Occluders:
+    occluders = Occluders()
+    occluders.count = context.scene.triangle_count
+    occluders.triangles = context.scene.triangles
+    occluders.records = context.records.of(work.first, len(work.lights))
+    return occluders
+
+
 class _Wide:
     """One thread and its vector registers."""
 
-    def __init__(self, context: Context, buffers: TileBuffers) -> None:
-        self._context, self._buffers = context, buffers
+    def __init__(self, context: Context, buffers: TileBuffers, participants: Participants) -> None:
+        self._context, self._buffers, self._participants = context, buffers, participants
+        self._launch = Launches(context.frame.device)
         device, bound = context.frame.device, context.frame.bounds.grid_entries
         places = 16 * buffers.most_blocks
         natural = max(4096, _ENTRIES_PER_TILE * places)
@@ -94,30 +108,84 @@ class _Wide:
         entries.total = wp.empty(places, dtype=int, device=device)
         entries.count = wp.zeros(2, dtype=int, device=device)
         self._entries = entries
+        bounds = context.frame.bounds
+        self._candidates = CandidateRecords.shared(context)
+        self._clusters = wp.empty(bounds.max_triangles // CLUSTER + bounds.max_lights, dtype=int, device=device)
+        self._ends = wp.zeros(bounds.max_lights, dtype=int, device=device)
+        # What tracing changes of the tiles.
+        self._changing = (buffers.tiles.live, buffers.tiles.boxes)
+        self._kept = tuple(wp.empty_like(array) for array in self._changing)
 
-    def pack(self, work: Pass, group: wp.array) -> None:
-        frame, buffers = self._context.frame, self._buffers
-        states = frame.states_of(work.first, len(work.lights))
-        inputs = [frame.lights_from(work.first), frame.rays, states, group, buffers.tiles, buffers.cells]
-        inputs += [buffers.sort.keys, buffers.sort.values]
-        wp.launch(packing_wide.pack_wide, dim=1, inputs=inputs, device=frame.device)
+    def update(self, change: Change) -> None:
+        self._candidates.update(change)
 
-    def trace(self, work: Pass, occluders: Occluders, answers: Any) -> None:
-        frame, vertices = self._context.frame, self._context.scene.vertex_count
-        inputs = [frame.lights_from(work.first), vertices, self._buffers.tiles, occluders, self._entries, answers]
-        wp.launch(binning_wide.bin_wide, dim=1, inputs=inputs, device=frame.device)
+    def prepare(self, light: LightFrame) -> None:
+        self._candidates.open(light)
+
+    def pack(self, work: Pass) -> None:
+        frame, buffers, group = self._context.frame, self._buffers, self._participants.group
+
+        def prepare() -> tuple[int, list[Any]]:
+            states = frame.states_of(work.first, len(work.lights))
+            inputs = [frame.lights_from(work.first), frame.rays, states, group, buffers.tiles, buffers.cells]
+            return 1, [*inputs, buffers.sort.keys, buffers.sort.values]
+
+        self._launch(packing_wide.pack_wide, (work.first, len(work.lights), frame.count), prepare)
+        if work.keep:
+            self._copy(self._kept, self._changing)
+
+    def unpack(self) -> None:
+        """Tiles as they were before they were traced."""
+        self._copy(self._changing, self._kept)
+
+    def _copy(self, to: tuple[wp.array, ...], of: tuple[wp.array, ...]) -> None:
+        blocks = int(self._buffers.tiles.counts.numpy()[ALL_BLOCKS])
+        for one, other, size in zip(to, of, (16, 16 * QUANTITIES), strict=True):
+            one.numpy()[: size * blocks] = other.numpy()[: size * blocks]
+
+    def choose(self, work: Pass) -> None:
+        frame, scene, wild = self._context.frame, self._context.scene, self._participants.counts
+
+        def prepare() -> tuple[int, list[Any]]:
+            turn = wp.vec2i(frame.number, frame.shares)
+            inputs = [frame.lights_from(work.first), work.attempt, turn, self._buffers.tiles, wild]
+            inputs += [scene.vertices, scene.triangles, *self._candidates.structs(work)]
+            return 1, [*inputs, self._clusters, self._ends]
+
+        self._launch(candidates.find_candidates, (work.attempt, *self._key(work)), prepare)
+
+    def trace(self, work: Pass) -> None:
+        frame = self._context.frame
+
+        def prepare() -> tuple[int, list[Any]]:
+            inputs = [frame.lights_from(work.first), self._clusters, self._ends, self._candidates.corners(work)]
+            inputs += [self._buffers.tiles, self.occluders(work), self._entries, self._participants.answers(work)]
+            return 1, inputs
+
+        self._launch(binning_wide.bin_wide, self._key(work), prepare)
+
+    def occluders(self, work: Pass) -> Occluders:
+        """The triangles of a pass; corners are of another form here, see ``candidates.py``."""
+        return _occluders(self._context, work)
+
+    def _key(self, work: Pass) -> tuple[Hashable, ...]:
+        """All that the inputs of a pass depend on."""
+        context, lights = self._context, len(work.lights)
+        place, culled = context.records.place(work.first), context.records.front_face_culling
+        return work.first, lights, context.frame.count, context.scene.triangle_count, place, culled
 
     def nbytes(self) -> int:
         entries = self._entries
         arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
+        arrays += (self._clusters, self._ends, *self._kept)
         return sum(int(array.capacity) for array in arrays)
 
 
 class _Scalar:
     """A thread per ray, tile or triangle."""
 
-    def __init__(self, context: Context, buffers: TileBuffers) -> None:
-        self._context, self._buffers = context, buffers
+    def __init__(self, context: Context, buffers: TileBuffers, participants: Participants) -> None:
+        self._context, self._buffers, self._participants = context, buffers, participants
         frame = context.frame
         device, capacity, triangles = frame.device, frame.bounds.grid_entries, frame.bounds.max_triangles
         self._packer = Packer(buffers, frame.bounds.max_lights, device)
@@ -141,14 +209,35 @@ class _Scalar:
         bins.work = wp.empty(places + capacity // 256, dtype=wp.vec2i, device=device)
         bins.emitted = wp.zeros(1, dtype=int, device=device)
         self._bins = bins
+        self._corners = Corners.shared(context)
 
-    def pack(self, work: Pass, group: wp.array) -> None:
-        frame = self._context.frame
+    def update(self, change: Change) -> None:
+        pass
+
+    def prepare(self, light: LightFrame) -> None:
+        if self._context.records.prepare(light):
+            self._corners.make(light)
+
+    def choose(self, work: Pass) -> None:
+        """All triangles may concern some ray."""
+
+    def unpack(self) -> None:
+        raise NotImplementedError  # keeps_rays says so
+
+    def pack(self, work: Pass) -> None:
+        frame, group = self._context.frame, self._participants.group
         states = frame.states_of(work.first, len(work.lights))
         self._packer.pack(frame.lights_from(work.first), frame.rays, states, group)
 
-    def trace(self, work: Pass, occluders: Occluders, answers: Any) -> None:
+    def occluders(self, work: Pass) -> Occluders:
+        """The triangles of a pass."""
+        occluders = _occluders(self._context, work)
+        occluders.corners = self._corners.of(work.first, len(work.lights))
+        return occluders
+
+    def trace(self, work: Pass) -> None:
         frame, tiles, bins = self._context.frame, self._buffers.tiles, self._bins
+        occluders, answers = self.occluders(work), self._participants.answers(work)
         device, items = frame.device, bins.items.shape[0]
         triangles = occluders.count * tiles.lights
         units = triangles + items

@@ -92,6 +92,7 @@ class SphericalGrid:
     """
 
     lights_together = 1
+    keeps_rays = False
 
     def __init__(
         self,

@@ -59,6 +59,7 @@ class Tiles:
     lights: int
     samples: int  # per light
     fit: wp.array(dtype=wp.vec4)  # of each group: low u, low v, 2^12 / extent of u, of v; 0 where there is no ray
+    far: wp.array(dtype=wp.vec2)  # of each group, on the CPU: beyond all rays along the face's axis; least Z of all
     aligned: wp.array(dtype=int)  # of each light: whether its rays are in one frustum
     groups: wp.array2d(dtype=int)
     columns: wp.array(dtype=float)  # boxes of the columns; each group of rays starts a new sixteen
@@ -149,6 +150,7 @@ class TileBuffers:
         self.cells = wp.empty(groups * U_CELLS, dtype=int, device=device)
         tiles = Tiles()
         tiles.fit = wp.empty(groups, dtype=wp.vec4, device=device)
+        tiles.far = wp.empty(groups, dtype=wp.vec2, device=device)
         tiles.aligned = wp.empty(buffers.bounds.max_lights, dtype=int, device=device)
         tiles.groups = wp.empty((groups, GROUP_COLUMNS), dtype=int, device=device)
         tiles.columns = wp.empty((column_places + 15) // 16 * 16 * QUANTITIES, dtype=float, device=device)
@@ -165,6 +167,15 @@ class TileBuffers:
     def nbytes(self) -> int:
         """Bytes on the device."""
         tiles = self.tiles
-        arrays = (tiles.fit, tiles.aligned, tiles.groups, tiles.columns, tiles.blocks, tiles.boxes, tiles.rays)
+        arrays = (
+            tiles.fit,
+            tiles.far,
+            tiles.aligned,
+            tiles.groups,
+            tiles.columns,
+            tiles.blocks,
+            tiles.boxes,
+            tiles.rays,
+        )
         arrays += (self.cells, tiles.order, tiles.live, tiles.covered, tiles.lookup, tiles.counts)
         return self.sort.nbytes() + sum(int(array.capacity) for array in arrays)

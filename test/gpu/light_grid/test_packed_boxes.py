@@ -28,8 +28,8 @@ from shadow_tracer.gpu.participants import Answers
 from shadow_tracer.gpu.shadow_test import SIXTEEN
 from shadow_tracer.gpu.triangle_planes import TRIANGLE, Occluders
 
-# What becomes of a triangle and a box: it casts nothing or cannot touch the face; the column is not among those looked
-# up; its bounds miss the box; its planes do; it may meet the box; it covers it.
+# What becomes of a triangle and a box: it casts nothing, cannot touch the face or is not among the candidates; the
+# column is not among those looked up; its bounds miss the box; its planes do; it may meet the box; it covers it.
 _ABSENT, _BESIDE, _UNTOUCHED, _MISSED, _MET, _COVERED = range(6)
 
 # Expects `box`: (level, number, group, column) as in packed_grid.Boxes.
@@ -51,7 +51,7 @@ _SCALAR = (
 )
 # The visit of binning_wide.py does not say what it leaves out: how it looks up columns is repeated here.
 _WIDE = (
-    "const int place = box[2] / 6, first_corner = place * vertices, face = box[2] % 6;\n"
+    "const int place = box[2] / 6, first_corner = 0, face = box[2] % 6;\n"
     "const bool aligned = tiles.aligned.data[place] != 0;\n"
     + TRIANGLE
     + SIXTEEN
@@ -59,6 +59,11 @@ _WIDE = (
     + SIDE_SIXTEEN
     + TAKE
     + r"""
+    bool listed = false;
+    for (int k = 0; k < ends.data[0]; ++k)
+        listed |= clusters.data[k] == triangle / 16;
+    if (!listed)
+        return 0;
     const int all = gather(triangle / 16 * 16), j = triangle % 16;
     if (!(bound(face) >> j & 1))
         return 0;
@@ -96,13 +101,20 @@ def judge(
 
 @wp.func_native("#if !defined(__CUDA_ARCH__)\n" + _WIDE + "\n#else\nreturn 0;\n#endif\n")
 def judge_wide(
-    triangle: int, box: wp.vec4i, vertices: int, space: LightSpace, tiles: Tiles, occluders: Occluders, answers: Answers
+    triangle: int,
+    box: wp.vec4i,
+    clusters: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    corners: wp.array(dtype=float),
+    space: LightSpace,
+    tiles: Tiles,
+    occluders: Occluders,
+    answers: Answers,
 ) -> int: ...
 
 
 @wp.kernel(enable_backward=False)
 def judge_all(
-    wide: int,
     boxes: wp.array(dtype=wp.vec4i),
     vertices: int,
     space: LightSpace,
@@ -112,10 +124,24 @@ def judge_all(
     out: wp.array2d(dtype=int),
 ):
     number, triangle = wp.tid()
-    if wide != 0:
-        out[number, triangle] = judge_wide(triangle, boxes[number], vertices, space, tiles, occluders, answers)
-    else:
-        out[number, triangle] = judge(triangle, boxes[number], vertices, space, tiles, occluders, answers)
+    out[number, triangle] = judge(triangle, boxes[number], vertices, space, tiles, occluders, answers)
+
+
+@wp.kernel(enable_backward=False)
+def judge_all_wide(
+    boxes: wp.array(dtype=wp.vec4i),
+    clusters: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    corners: wp.array(dtype=float),
+    space: LightSpace,
+    tiles: Tiles,
+    occluders: Occluders,
+    answers: Answers,
+    out: wp.array2d(dtype=int),
+):
+    number, triangle = wp.tid()
+    box = boxes[number]
+    out[number, triangle] = judge_wide(triangle, box, clusters, ends, corners, space, tiles, occluders, answers)
 
 
 _MOST_RAYS, _MOST_TRIANGLES = 1024, len(SPREADS) * TRIANGLES
@@ -161,7 +187,8 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
     count = len(corners)
     tracer.scene.put("mesh", corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
     tracer.occluded(points, light, bias)
-    _, occluders, answers = taken[0]
+    work, way, wide = taken[0][0], pipeline._way, tracer.variant == "packed"
+    occluders, answers = way.occluders(work), pipeline._participants.answers(work)
     tiles, space = pipeline._buffers.tiles, make_light_space(make_light_frame(light, engine._anchor))
     packed = packed_grid.read(tiles)
     if not hidden.size:
@@ -181,9 +208,10 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
             [np.full(len(boxes.number), LEVELS.index(level)), boxes.number, boxes.group, boxes.column]
         )
         out = wp.empty((len(rows), count), dtype=int, device=tracer.device)
-        inputs = [int(tracer.variant == "packed"), wp.array(rows, dtype=wp.vec4i, device=tracer.device), 3 * count]
+        inputs = [wp.array(rows, dtype=wp.vec4i, device=tracer.device)]
+        inputs += [way._clusters, way._ends, way._candidates.corners(work)] if wide else [3 * count]
         inputs += [space, tiles, occluders, answers, out]
-        wp.launch(judge_all, dim=out.shape, inputs=inputs, device=tracer.device)
+        wp.launch(judge_all_wide if wide else judge_all, dim=out.shape, inputs=inputs, device=tracer.device)
         index = np.searchsorted(boxes.number, places[position[tile]])
         shadows, rays = np.zeros(out.shape, int), np.bincount(index, minlength=len(rows))
         np.add.at(shadows, index, hidden[packed.order[tile, lane]])

@@ -269,8 +269,14 @@ def test_lights_that_stay_keep_their_triangles(
     rng = np.random.default_rng(474)
     view = _view(24, 18, _LIGHTS[:3], geometry.soup(rng, 80, 0.25, 1.0))
     calls: list[Any] = []
-    prepare = records.prepare
-    monkeypatch.setattr(records, "prepare", lambda *inputs: (calls.append(1), prepare(*inputs)))
+    begin = records.TriangleRecords.begin
+
+    def counted(self: Any, frame: Any) -> bool:
+        made = begin(self, frame)
+        calls.extend([1] * made)
+        return made
+
+    monkeypatch.setattr(records.TriangleRecords, "begin", counted)
     tracer = _tracer(any_device, variant, max_triangles=80 * room)
     engine: Any = tracer._engine
     anchors = []
