@@ -48,7 +48,7 @@ class Frame:
         arithmetic, ``overflow_passes`` because the queue was full; and of the scene: ``triangles``, ``degenerate``
         ones among them that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not
         finite), and ``culled`` ones, which cast nothing because their front faces the last light and front faces are
-        culled."""
+        culled; both of those that the pipeline looked at, which may leave out what is beside all rays."""
         self._states = states
         self._reached = reached or {}  # of sphere lights: (H, W) points that reach, and how many there are
 

@@ -159,7 +159,7 @@ class FrameBuffers:
         self.count = 0  # samples of the current frame
         self.width = 0  # of the image they come from; 0 if they are a list of points
         self.first = 0  # of all samples of the frame, the number of the first of these
-        self.revision = 0  # another number whenever samples, or rays, may be others than in the frame before
+        self.revision = 0  # see renew
         self._slices = Slices()
         self.launch = Launches(device)
 
@@ -167,6 +167,10 @@ class FrameBuffers:
         """Tell how many samples these buffers have of this frame, the width of the image they come from (0: a list of
         points), and which is the first."""
         self.count, self.width, self.first = count, width, first
+
+    def renew(self) -> None:
+        """Samples or rays are about to be others than in the frame before: ``revision`` is one there has not been."""
+        self.revision += 1
 
     def lights_from(self, light: int) -> wp.array:
         """Frames of the lights from number ``light`` on."""

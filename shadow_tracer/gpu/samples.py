@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
 
 Parts = list[tuple[FrameBuffers, int, int]]
-_revisions = count(1)
 
 
 class Samples:
@@ -50,7 +48,7 @@ class Samples:
         self.forget()
         flat = depth.reshape(-1)
         for frame in frames:
-            frame.revision = next(_revisions)
+            frame.renew()
             frame.set_camera(make_pinhole(camera, bias, frame.first))
             upload(depth_of(frame, depth.dtype), flat[frame.first : frame.first + frame.count])
         self._depth, self._source = (depth.dtype, parts), (look, parts)
@@ -73,7 +71,7 @@ class Samples:
         samples[:, :3] = points
         samples[:, 3] = bias
         for frame, first, size in parts:
-            frame.revision = next(_revisions)
+            frame.renew()
             upload(frame.samples, samples[first : first + size])
             upload(frame.valid, good[first : first + size])
         self._source = ("points", bias), parts

@@ -81,6 +81,8 @@ class Share:
         self._again = self._kept is not None and again == projection.FIRST_TIME and self._kept.recall(work)
         if self._again:
             return
+        if self._kept is None:
+            self.frame.renew()  # the rays of another share in the same buffers are overwritten
         with self.stages.stage("project"):
             for place, light in enumerate(work.lights):
                 projection.project(self.frame, light.number, place, again)

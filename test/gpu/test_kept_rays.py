@@ -189,3 +189,25 @@ def test_whatever_changes_between_frames(
         if rng.random() < 0.7:
             pair.put(*_mesh(rng, now["depth"] if now["depth"].shape == (_HEIGHT, _WIDTH) else None))
         pair.check(now["depth"], now["camera"], now["lights"], now["bias"])
+
+
+def test_rays_that_another_pipeline_has_overwritten_are_made_again(projected: list[int]) -> None:
+    """Pipeline auto with one thread: mesh_bvh traces a frame in between, light after light in the same place. A ray so
+    near to its light that it is tested by itself would be that of another light."""
+    rng = np.random.default_rng(30)
+    depth = _depth(rng)
+    tracers = [ShadowTracer(name, device="cpu", bounds=_bounds(), threads=1) for name in ("auto", "brute_force")]
+    chooser: Any = tracers[0]._engine.chooser
+    points = _CAMERA.unproject(depth.astype(np.float64)).reshape(-1, 3)
+    for sample in rng.choice(np.flatnonzero(np.isfinite(points[:, 2])), 10, replace=False):
+        lights = [PointLight("near", points[sample] + 1e-7), PointLight("far", (0.3, -0.4, -0.5))]
+        mesh = _mesh(rng)
+        mesh[0][mesh[1][0]] = points[sample] + (0.0, 0.0, -0.4) + rng.uniform(-0.3, 0.3, (3, 3)) * (1.0, 1.0, 0.0)
+        for tracer in tracers:
+            tracer.scene.put("mesh", *mesh)
+        expected = tracers[1].trace(depth, _CAMERA, lights, bias=0.0)
+        for names, lights_projected in (("light_grid", 2), ("light_grid", 0), ("mesh_bvh", 2), ("light_grid", 2)):
+            chooser.forced = next(one for one in chooser.candidates if one[0] == names)
+            projected.clear()
+            assert tracers[0].trace(depth, _CAMERA, lights, bias=0.0).differing(expected) == 0
+            assert len(projected) == lights_projected, names
