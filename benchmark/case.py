@@ -65,9 +65,9 @@ def shots(view: View, count: int) -> list[Shot]:
     if view.recorded:
         return [view.recorded[k % len(view.recorded)] for k in range(count)]
     camera = view.camera
-    scene = Scene()
-    scene.put("mesh", view.positions[0], view.triangles)
     bounds = Bounds(max_triangles=len(view.triangles), max_rays=camera.width * camera.height)
+    scene = Scene(bounds)
+    scene.put("mesh", view.positions[0], view.triangles)
     depth, _ = DepthCamera("cpu", bounds).render(scene, camera)
     if view.pixels is not None:
         depth[~view.pixels] = np.nan

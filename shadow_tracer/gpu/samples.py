@@ -83,11 +83,13 @@ class Samples:
         kind, parts = self._depth or (None, [])
         if kind != depth.dtype or sum(size for _, _, size in parts) != depth.size:
             return False
-        for frame, first, size in parts:
-            held, mine = depth_of(frame, kind)[:size].numpy(), flat[first : first + size]
-            if not np.array_equal(held.view(integer), mine.view(integer)):  # as bits: NaN equals NaN
-                return False
-        return True
+        # As bits: NaN equals NaN. Another image mostly differs in any few pixels: only then all are read.
+        pairs = [
+            (depth_of(frame, kind).numpy()[:size].view(integer), flat[first : first + size].view(integer))
+            for frame, first, size in parts
+        ]
+        few = all(np.array_equal(held[::997], mine[::997]) for held, mine in pairs)
+        return few and all(np.array_equal(held, mine) for held, mine in pairs)
 
 
 def depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
