@@ -146,7 +146,7 @@ class Packing:
         frame.states_of(0, len(lights)).assign(np.zeros(everything, np.uint8) if states is None else states.reshape(-1))
         tiles = pipeline._buffers.tiles
         tiles.lights, tiles.samples = len(lights), count
-        pipeline._way.pack(Pass(frames), group)
+        pipeline._way.pack(Pass(frames))
         return read(tiles)
 
 

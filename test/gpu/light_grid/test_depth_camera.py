@@ -28,7 +28,8 @@ def test_only_changes_are_uploaded(any_device, monkeypatch):
     from shadow_tracer.gpu import buffers
 
     uploaded: list[int] = []
-    original = buffers.upload
+    placed: list[int] = []
+    original, place = buffers.upload, buffers.SceneBuffers._place
 
     def count(to: Any, what: np.ndarray, offset: int = 0) -> None:
         uploaded.append(len(what))
@@ -38,22 +39,32 @@ def test_only_changes_are_uploaded(any_device, monkeypatch):
     ball = geometry.icosphere(2, 0.4)
     made = DepthCamera(any_device, Bounds(max_triangles=20_000, max_rays=10_000, grid_entries=50_000))
     monkeypatch.setattr(buffers, "upload", count)
+    monkeypatch.setattr(
+        buffers.SceneBuffers,
+        "_place",
+        lambda self, mesh, *first: (placed.append(len(mesh.vertices)), place(self, mesh, *first)),
+    )
+    # The CPU reads vertices where the mesh has them.
+    vertices = [] if any_device == "cpu" else [len(mesh[0]), len(ball[0])]
     scene = scene_of(mesh)
     scene.put("ball", *ball, pose=geometry.pose_of(np.eye(3), (4, 1, 1.6)))
     first = made.render(scene, camera)
-    assert sorted(uploaded) == sorted([len(mesh[0]), len(mesh[1]), len(ball[0]), len(ball[1])])
+    assert sorted(uploaded) == sorted([*vertices, len(mesh[1]), len(ball[1])])
+    assert placed == [len(mesh[0]), len(ball[0])]
     for step in range(3):
         uploaded.clear()
+        placed.clear()
         scene.move("ball", geometry.pose_of(np.eye(3), (4, 0.5 - 0.5 * step, 1.7)))
         depth, triangle = made.render(scene, camera)
-        assert uploaded == []
+        assert uploaded == [] and placed == [len(ball[0])]
         fresh = DepthCamera(any_device, made.bounds).render(scene, camera)
         assert fresh[0].tobytes() == depth.tobytes() and np.array_equal(fresh[1], triangle)
         assert (depth != first[0]).any()
     uploaded.clear()
+    placed.clear()
     scene.deform("ball", 1.5 * ball[0])
     made.render(scene, camera)
-    assert uploaded == [len(ball[0])]
+    assert uploaded == vertices[1:] and placed == [len(ball[0])]
 
 
 @pytest.mark.parametrize("name", ["street", "museum, inside", "ground"])
