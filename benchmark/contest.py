@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is how fast on a case. All take turns, frame by frame, so that a busy minute of the machine meets everybody.
-Every answer is compared, outside the clock; the time of one that was wrong is not given out."""
+"""Who is how fast on a case. All take turns, frame by frame, so that a busy minute of the machine meets everybody. A
+frame during which another virtual machine had the processor does not count if there are others. Every answer is
+compared, outside the clock; the time of one that was wrong is not given out."""
 
 from __future__ import annotations
 
@@ -12,22 +13,39 @@ from typing import Any
 import numpy as np
 from case import Case, Wrong
 from rivals import Contestant
+from stolen import stolen
 
 _MOST_WRONG = 1e-3  # part of the rays: peers work in float32; more than this is not the same question
 _WARM_UP = 2  # rounds whose times are not kept
+_LOST = 0.05  # part of a frame's time: with more of it lost to others the frame is disturbed
+_PATIENCE = 4  # times the effort, for frames that are not disturbed
 
 
 @dataclass
 class Timing:
-    """Milliseconds of frames, and the largest number of wrong rays in one of them."""
+    """Milliseconds of frames, of those that were disturbed, seconds spent, and the largest number of wrong rays in one
+    of them."""
 
-    times: list[float] = field(default_factory=list)
+    calm: list[float] = field(default_factory=list)
+    disturbed: list[float] = field(default_factory=list)
+    spent: float = 0.0
     wrong: int = 0
+
+    @property
+    def times(self) -> list[float]:
+        """Those that count."""
+        return self.calm or self.disturbed
 
     @property
     def median(self) -> float:
         """Median of the frames."""
         return float(np.median(self.times))
+
+    def enough(self, effort: Effort) -> bool:
+        """Whether there need not be more."""
+        if self.calm:
+            return len(self.calm) >= effort.frames or self.spent > effort.seconds
+        return bool(self.disturbed) and self.spent > _PATIENCE * effort.seconds
 
 
 @dataclass(frozen=True)
@@ -74,6 +92,7 @@ def _row(case: Case, contestant: Contestant, timings: dict[str, Timing]) -> dict
         "builds": contestant.builds,
         "wrong rays": wrong,
         "frames": len(timings["dynamic"].times),
+        "disturbed": sum(len(timing.disturbed) for timing in timings.values()),
     }
     for motion in ("dynamic", "static"):
         timing = timings.get(motion)
@@ -84,25 +103,25 @@ def _row(case: Case, contestant: Contestant, timings: dict[str, Timing]) -> dict
 
 def _rounds(case: Case, contestants: Sequence[Contestant], motion: str, effort: Effort) -> dict[str, Timing]:
     timings = {contestant.name: Timing() for contestant in contestants}
-    spent = dict.fromkeys(timings, 0.0)
     count = len(case.frames)
-    for turn in range(_WARM_UP + effort.frames):
+    for turn in range(_WARM_UP + _PATIENCE * effort.frames):
         frame = turn % count
         right = (case.dynamic if motion == "dynamic" else case.static)[frame]
         # The order turns, too: nobody always follows the one that leaves the caches worst.
         for place in range(len(contestants)):
             contestant = contestants[(place + turn) % len(contestants)]
             timing = timings[contestant.name]
-            if spent[contestant.name] > effort.seconds and timing.times:
+            if timing.enough(effort):
                 continue
-            begin = time.perf_counter()
+            lost, begin = stolen(), time.perf_counter()
             found = getattr(contestant, motion)(frame)
             seconds = time.perf_counter() - begin
+            lost = stolen() - lost
             _judge(case, contestant, timing, frame, found, right)
-            spent[contestant.name] += seconds
+            timing.spent += seconds
             # A warm-up frame that uses up the time is the measurement.
-            if turn >= _WARM_UP or spent[contestant.name] > effort.seconds:
-                timing.times.append(1e3 * seconds)
+            if turn >= _WARM_UP or timing.spent > effort.seconds:
+                (timing.disturbed if lost > _LOST * seconds else timing.calm).append(1e3 * seconds)
     return timings
 
 

@@ -4,7 +4,8 @@
 All answer the same rays in the same run on the same cores. A time is given out only for answers that were compared,
 all of every timed frame. Ours: all rays with ``mesh_bvh``, and ``mesh_bvh`` on a random subset with ``brute_force``;
 one difference and the program stops. Peers, which work in float32: the largest number of wrong rays is in the table,
-and with more than one in a thousand there is no time.
+and with more than one in a thousand there is no time. On a virtual machine frames during which the host took the
+processors away are measured again, and do not count if there are others.
 
 dynamic: mesh and depth image are new in every frame. Ours is the whole of ``ShadowTracer.trace``, numpy to numpy; the
 peers' is structure and query, on rays that were made before. static: only the depth image is new; the peers' is the

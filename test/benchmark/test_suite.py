@@ -19,6 +19,7 @@ import suite_targets
 from case import Case, Wrong
 from contest import Effort, contest
 from scenes import View, procedural_view, views
+from stolen import stolen
 from suite_settings import Clock, Settings
 
 from shadow_tracer import available_pipelines
@@ -149,6 +150,29 @@ def test_a_peer_that_is_wrong_has_no_time() -> None:
     (row,) = contest(larger, [_Peer("filtered", larger, larger.rays)], Effort(1, 0.0))
     assert row["wrong rays"] == 1  # less than one in a thousand: float32 may do that
     assert row["dynamic ms"] > 0.0 and row["static ms"] > 0.0
+
+
+def test_frames_that_lost_the_processor_do_not_count_if_others_did_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = Case(_view(24), 2)
+    pattern, clock = [1.0, 0.0, 2.0, 0.0, 0.0], [0.0, 0]
+
+    def lost() -> float:
+        """Looked at before and after each frame; grows during those that the pattern says."""
+        clock[1] += 1
+        if clock[1] % 2 == 0:
+            clock[0] += pattern[clock[1] // 2 % len(pattern)] if pattern else 5.0
+        return clock[0]
+
+    monkeypatch.setattr("contest.stolen", lost)
+    (row,) = contest(case, [rivals.BruteForce("filtered", case, 50)], Effort(4, 9.0), static=False)
+    assert (row["frames"], row["disturbed"]) == (4, 2)
+    pattern.clear()
+    (row,) = contest(case, [rivals.BruteForce("filtered", case, 50)], Effort(4, 0.0), static=False)
+    assert row["frames"] == row["disturbed"] >= 1 and row["dynamic ms"] > 0.0
+
+
+def test_what_is_lost_only_grows() -> None:
+    assert 0.0 <= stolen() <= stolen()
 
 
 def test_every_frame_has_another_image() -> None:
