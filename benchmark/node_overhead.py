@@ -178,11 +178,13 @@ def play(measurement: Measurement, frames: int, cells: int) -> dict[str, list[fl
     """Milliseconds per stage of ``frames`` frames whose masks are right; a few before them warm up."""
     tracer = ShadowTracer(device="cpu")
     camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
-    depth = np.full((HEIGHT, WIDTH), 2500, np.uint16)
-    depth[::37, ::41] = 0
+    generator = np.random.default_rng(0)
     collected: dict[str, list[float]] = {}
     for frame in range(frames + _WARM_UP):
         vertices, triangles = wavy_sheet(cells, 0.1 * frame)
+        # Noise as of a camera: of the same image the node would use samples and rays again.
+        depth = (2500 + generator.integers(-1, 2, (HEIGHT, WIDTH))).astype(np.uint16)
+        depth[::37, ::41] = 0
         stages, mask = measurement.play(encode_mesh(vertices, triangles), depth, (frame + 1) * 33_000_000)
         if frame < _WARM_UP:
             continue

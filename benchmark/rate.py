@@ -42,6 +42,7 @@ from shadow_tracer.ros.cdr import encode_mesh
 ROOT = Path(__file__).resolve().parents[1]
 PROFILE = ROOT / "config" / "fastdds_large_images.xml"
 PHASES = 40  # meshes, played round and round
+IMAGES = 7  # depth images in turn
 WARM_UP = 2.0  # s, published but not counted
 SAMPLE = 30  # one mask of so many is compared
 MEDIAN_LIMIT, SLOW_LIMIT = 40.0, 80.0  # ms, for the case that must hold
@@ -85,9 +86,11 @@ CASES = (
 )
 
 
-def depth_image() -> np.ndarray:
-    """(H, W) uint16 millimetres: a wall with a few invalid pixels."""
-    depth = np.full((HEIGHT, WIDTH), 2500, np.uint16)
+def depth_image(number: int) -> np.ndarray:
+    """(H, W) uint16 millimetres: a wall with a few invalid pixels, and noise that is another in ``IMAGES`` successive
+    frames, as of a camera: of the same image the node would use samples and rays again."""
+    noise = np.random.default_rng(number % IMAGES).integers(-1, 2, (HEIGHT, WIDTH))
+    depth = (2500 + noise).astype(np.uint16)
     depth[::37, ::41] = 0
     return depth
 
@@ -108,7 +111,7 @@ class Player:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.meshes = [encode_mesh(*wavy_sheet(case.cells, 2 * np.pi * n / PHASES)) for n in range(PHASES)]
-        self.depth = depth_image()
+        self.images = [depth_image(number) for number in range(IMAGES)]
         self.sent: dict[int, tuple[int, float]] = {}
         self.came: dict[int, float] = {}
         self.samples: dict[int, bytes] = {}
@@ -165,7 +168,7 @@ class Player:
         stamp = time.time_ns()
         self.mesh_out.publish(self.meshes[number % PHASES])
         self.info_out.publish(info_msg(stamp))
-        image = image_msg(self.depth, stamp)
+        image = image_msg(self.images[number % IMAGES], stamp)
         self.sent[stamp] = (number, time.perf_counter())
         self.depth_out.publish(image)
 
@@ -209,19 +212,20 @@ def compare(case: Case, samples: Path) -> tuple[int, int]:
     stored = np.load(samples)
     tracer = ShadowTracer(device="cpu")
     camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
-    known: dict[int, np.ndarray] = {}
+    known: dict[tuple[int, int], np.ndarray] = {}
 
-    def of(phase: int) -> np.ndarray:
-        if phase not in known:
+    def of(phase: int, number: int) -> np.ndarray:
+        key = phase, number % IMAGES
+        if key not in known:
             tracer.scene.put("mesh", *wavy_sheet(case.cells, 2 * np.pi * phase / PHASES))
-            known[phase] = tracer.trace(depth_image(), camera, [PointLight("lamp", LAMP)], bias=BIAS).mask()
-        return known[phase]
+            known[key] = tracer.trace(depth_image(number), camera, [PointLight("lamp", LAMP)], bias=BIAS).mask()
+        return known[key]
 
     neighbours = 0
     for number, mask in zip(stored["numbers"], stored["masks"], strict=True):
         shape = mask.reshape(HEIGHT, WIDTH)
         for step in (0, 1, -1, 2, -2):
-            if np.array_equal(shape, of(int(number + step) % PHASES)):
+            if np.array_equal(shape, of(int(number + step) % PHASES, int(number))):
                 neighbours += step != 0
                 break
         else:
