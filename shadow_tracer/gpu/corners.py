@@ -71,14 +71,6 @@ class Corners:
         self._vertices = wp.empty(capacity, dtype=wp.vec4, device=context.frame.device)
         self._slices = Slices()
 
-    @staticmethod
-    def shared(context: Context) -> Corners:
-        """Those of the context, made when first asked for."""
-        if context.shared.corners is None:
-            context.shared.corners = Corners(context)
-        corners: Corners = context.shared.corners
-        return corners
-
     def of(self, light: int, lights: int = 1) -> wp.array:
         """Vertices for ``lights`` lights from number ``light`` on, light after light."""
         count = self._context.scene.vertex_count

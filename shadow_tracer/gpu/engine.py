@@ -101,7 +101,6 @@ class Engine:
         self._context.records.forget()
         if self.second in self.pipelines:
             self._second = None
-        self._context.shared.free_unused()
 
     @property
     def pipelines(self) -> frozenset[str]:
@@ -160,7 +159,6 @@ class Engine:
     def release_second(self) -> None:
         """Free the second pipeline's buffers, if there are any, and what it alone has made of the scene."""
         self._second = None
-        self._context.shared.free_unused()
 
     @contextmanager
     def second_opinion(self) -> Iterator[None]:

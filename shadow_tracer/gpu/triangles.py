@@ -4,10 +4,10 @@ scene or the culling has changed."""
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
+from weakref import WeakValueDictionary
 
 import warp as wp
 
@@ -15,6 +15,8 @@ from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, Slices
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangle_setup import prepare
+
+_Kind = TypeVar("_Kind")
 
 
 class TriangleRecords:
@@ -119,28 +121,28 @@ class TriangleRecords:
         self._made_for.clear()
 
 
-@dataclass
 class Shared:
-    """What pipelines make of a light beside its records, once for all that work on the scene: ``Corners`` and
-    ``CandidateRecords``."""
+    """What pipelines make of a light beside its records, once for all that work on the scene: one of a kind, which
+    lives as long as a pipeline holds it."""
 
-    corners: Any = None
-    candidates: Any = None
+    def __init__(self) -> None:
+        self._made: WeakValueDictionary[type[Any], Any] = WeakValueDictionary()
 
-    def free_unused(self) -> None:
-        """Free what no pipeline holds any more."""
-        # Let go of each, and take it again if somebody else still has it.
-        for name in vars(self):
-            part = getattr(self, name)
-            if part is not None:
-                still_held = weakref.ref(part)
-                setattr(self, name, None)
-                del part
-                setattr(self, name, still_held())
+    def take(self, kind: type[_Kind], context: Context) -> _Kind:
+        """The one of its kind, made for ``context`` when nobody has it."""
+        made = self._made.get(kind)
+        if made is None:
+            self._made[kind] = made = kind(context)  # type: ignore[call-arg]
+        found: _Kind = made
+        return found
+
+    def find(self, kind: type[_Kind]) -> _Kind | None:
+        """The one of its kind, None if nobody has it."""
+        return self._made.get(kind)
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return sum(part.nbytes() for part in (self.corners, self.candidates) if part is not None)
+        return sum(made.nbytes() for made in self._made.values())
 
 
 @dataclass(frozen=True)

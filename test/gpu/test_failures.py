@@ -13,6 +13,7 @@ import warp as wp
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, State
 from shadow_tracer.gpu import buffers, engine, mesh_bvh
 from shadow_tracer.gpu.chooser import CANDIDATES
+from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.share import Share
 
 _BOUNDS = Bounds(max_triangles=2000, max_rays=4096, max_lights=2, queue_capacity=4096, grid_entries=8192)
@@ -143,19 +144,19 @@ def test_what_a_pipeline_shares_is_freed_with_its_last_user() -> None:
     tracer = _tracer("mesh_bvh")
     shared = tracer._engine._context.shared
     plain = tracer.device_bytes
-    assert shared.corners is None and shared.candidates is None
+    assert shared.find(Corners) is None and shared.nbytes() == 0
     tracer.prepare_verify("cone_hierarchy")
-    assert shared.corners is not None
+    assert shared.find(Corners) is not None and tracer.device_bytes >= plain + shared.nbytes() > plain
     tracer.release_verify()
-    assert shared.corners is None and tracer.device_bytes == plain
+    assert shared.find(Corners) is None and tracer.device_bytes == plain
     tracer.select("light_grid", "packed_scalar")
     tracer.prepare_verify("cone_hierarchy")
-    corners = shared.corners
+    corners = id(shared.find(Corners))
     tracer.release_verify()
-    assert corners is not None and shared.corners is corners, "the first pipeline still has them"
+    assert shared.find(Corners) is not None and id(shared.find(Corners)) == corners, "the first pipeline still has them"
     tracer.prepare_verify("cone_hierarchy")
     tracer.select("brute_force")
-    assert shared.corners is corners, "the second pipeline still has them"
+    assert shared.find(Corners) is not None and id(shared.find(Corners)) == corners, "the second still has them"
     assert tracer.verify(_DEPTH, _CAMERA, _LIGHTS) == 0
 
 

@@ -28,7 +28,7 @@ class LinearHierarchy:
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
         self._participants = Participants(context)
-        self._corners = Corners.shared(context)
+        self._corners = context.shared.take(Corners, context)
         self._wide = context.frame.device.is_cpu and variant == "linear"
         self._order = RayOrder(context, self._participants, hilbert=False, packed=self._wide)
         self.recordable = not self._wide

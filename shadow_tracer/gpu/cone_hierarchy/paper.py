@@ -76,7 +76,7 @@ class PaperHierarchy:
         device = frame.device
         self._participants = Participants(context)
         self._order = RayOrder(context, self._participants, hilbert=True) if recipe.ordered else None
-        self._corners = Corners.shared(context)
+        self._corners = context.shared.take(Corners, context)
         self._cones = ConeTree(context)
         self._traversal = BreadthFirst(context, self._cones.capacity_levels, recipe.accept)
         self._large = LargeOccluders(frame.bounds.max_triangles if recipe.two_pass else 1, device)

@@ -249,14 +249,6 @@ class CandidateRecords:
         self._made = wp.zeros(bounds.max_triangles // BLOCK + bounds.max_lights, dtype=int, device=device)
         self._slices = Slices()
 
-    @staticmethod
-    def shared(context: Context) -> CandidateRecords:
-        """Those of the context, made when first asked for."""
-        if context.shared.candidates is None:
-            context.shared.candidates = CandidateRecords(context)
-        found: CandidateRecords = context.shared.candidates
-        return found
-
     def update(self, change: Change) -> None:
         """Take note of what has happened to the scene."""
         if change != Change.NOTHING:

@@ -61,6 +61,7 @@ class PackedGrid:
         if work.part == 0:
             with stages.stage("pack"):
                 if work.again:
+                    assert isinstance(self._way, _Wide)  # which keeps rays
                     self._participants.choose_again(count)
                     self._way.unpack()
                 else:
@@ -109,7 +110,7 @@ class _Wide:
         entries.count = wp.zeros(2, dtype=int, device=device)
         self._entries = entries
         bounds = context.frame.bounds
-        self._candidates = CandidateRecords.shared(context)
+        self._candidates = context.shared.take(CandidateRecords, context)
         self._clusters = wp.empty(bounds.max_triangles // CLUSTER + bounds.max_lights, dtype=int, device=device)
         self._ends = wp.zeros(bounds.max_lights, dtype=int, device=device)
         # What tracing changes of the tiles.
@@ -209,7 +210,7 @@ class _Scalar:
         bins.work = wp.empty(places + capacity // 256, dtype=wp.vec2i, device=device)
         bins.emitted = wp.zeros(1, dtype=int, device=device)
         self._bins = bins
-        self._corners = Corners.shared(context)
+        self._corners = context.shared.take(Corners, context)
 
     def update(self, change: Change) -> None:
         pass
@@ -220,9 +221,6 @@ class _Scalar:
 
     def choose(self, work: Pass) -> None:
         """All triangles may concern some ray."""
-
-    def unpack(self) -> None:
-        raise NotImplementedError  # keeps_rays says so
 
     def pack(self, work: Pass) -> None:
         frame, group = self._context.frame, self._participants.group

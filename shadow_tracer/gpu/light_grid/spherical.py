@@ -105,7 +105,7 @@ class SphericalGrid:
         self._context = context
         self.recordable = not context.frame.device.is_cpu if fixed is None else fixed
         self._participants = Participants(context)
-        self._corners = Corners.shared(context)
+        self._corners = context.shared.take(Corners, context)
         self.rays = TiledRays(context, self._participants, rays_per_tile, cells, threshold)
         self.lists = CellLists(context, self.rays, cells, self.recordable)
 
