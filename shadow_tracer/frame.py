@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
+
+from shadow_tracer.gpu.packed_states import PackedStates
 
 ByteImage = npt.NDArray[np.uint8]
 
@@ -32,7 +35,8 @@ class Frame:
     def __init__(
         self,
         names: tuple[str, ...],
-        states: ByteImage,
+        shape: tuple[int, int],
+        found: PackedStates | ByteImage,
         stages: dict[str, float],
         counters: dict[str, int],
         reached: dict[str, tuple[npt.NDArray[np.uint16], int]] | None = None,
@@ -49,14 +53,19 @@ class Frame:
         ones among them that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not
         finite), and ``culled`` ones, which cast nothing because their front faces the last light and front faces are
         culled; both of those that the pipeline looked at, which may leave out what is beside all rays."""
-        self._states = states
+        self._shape = shape  # (H, W)
+        self._found = found  # (L, H * W) states, or what they can be made of
         self._reached = reached or {}  # of sphere lights: (H, W) points that reach, and how many there are
+
+    @property
+    def _states(self) -> ByteImage:
+        """(L, H, W)."""
+        states = self._found.bytes if isinstance(self._found, PackedStates) else self._found
+        return states.reshape(len(self.names), *self._shape)
 
     def state(self, name: str) -> ByteImage:
         """(H, W) uint8 image of :class:`State` values for the light ``name``."""
-        if name not in self.names:
-            raise ValueError(f"name: expected one of {list(self.names)}, got {name!r}")
-        return self._states[self.names.index(name)]
+        return self._states[self._number(name)]
 
     def visibility(self, name: str) -> npt.NDArray[np.float32]:
         """(H, W) float32 share of the light ``name`` that reaches each pixel, from 0 to 1: 1 or 0 for lights without
@@ -86,25 +95,39 @@ class Frame:
         """
         if not 0 <= unknown <= 255:
             raise ValueError(f"unknown: expected an integer from 0 to 255, got {unknown!r}")
-        # LIT is the least state, and a pixel without depth is INVALID for every light.
-        state = self._states.min(axis=0) if name is None else self.state(name)
-        mask: ByteImage = np.negative((state == State.LIT).view(np.uint8))  # 1 becomes 255
+        lit, invalid = self._lit(name)
+        mask = np.negative(lit, out=lit)  # 1 becomes 255
         for soft in self._reached if name is None else self._reached.keys() & {name}:
             np.maximum(mask, self._penumbra(soft), out=mask)
         if unknown:
-            mask[state == State.INVALID] = unknown
+            mask[invalid()] = unknown
         return mask
+
+    def _lit(self, name: str | None) -> tuple[ByteImage, Callable[[], npt.NDArray[np.bool_]]]:
+        """(H, W) 1 where the light ``name`` reaches (None: any), else 0; and how to find out where depth is invalid."""
+        number, found = None if name is None else self._number(name), self._found
+        if isinstance(found, PackedStates):
+            lit = found.lit_by_any() if number is None else found.lit(number)
+            return lit.reshape(self._shape), lambda: found.invalid().reshape(self._shape)
+        # LIT is the least state, and a pixel without depth is INVALID for every light.
+        state = self._states.min(axis=0) if number is None else self._states[number]
+        return (state == State.LIT).view(np.uint8), lambda: state == State.INVALID
+
+    def _number(self, name: str) -> int:
+        if name not in self.names:
+            raise ValueError(f"name: expected one of {list(self.names)}, got {name!r}")
+        return self.names.index(name)
 
     def bits(self) -> npt.NDArray[np.uint16]:
         """(H, W) uint16 image in which bit i is set where light i (in the order of ``names``) reaches, of a sphere at
         least one point; up to 16 lights."""
         if len(self.names) > 16:
             raise ValueError(f"bits: expected at most 16 lights, got {len(self.names)}")
-        bits = np.zeros(self._states.shape[1:], dtype=np.uint16)
+        bits = np.zeros(self._shape, dtype=np.uint16)
         for index, name in enumerate(self.names):
-            reaches = self._states[index] == State.LIT
+            reaches, _ = self._lit(name)
             if name in self._reached:
-                reaches |= self._states[index] == State.PENUMBRA
+                reaches |= self.state(name) == State.PENUMBRA
             bits |= reaches.astype(np.uint16) << np.uint16(index)
         return bits
 
@@ -122,10 +145,10 @@ class Frame:
         Raises:
             ValueError: the frames have different lights or sizes.
         """
-        if self.names != other.names or self._states.shape != other._states.shape:
+        if (self.names, self._shape) != (other.names, other._shape):
             raise ValueError(
-                f"other: expected a frame of the lights {list(self.names)} and shape {self._states.shape[1:]}, got one "
-                f"of {list(other.names)} and {other._states.shape[1:]}"
+                f"other: expected a frame of the lights {list(self.names)} and shape {self._shape}, got one of "
+                f"{list(other.names)} and {other._shape}"
             )
         mine, others = ({name: soft[1] for name, soft in frame._reached.items()} for frame in (self, other))
         if mine != others:

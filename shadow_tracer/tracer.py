@@ -342,13 +342,12 @@ class ShadowTracer:
         self, image: npt.NDArray[Any], camera: Camera, lights: Sequence[Light], names: tuple[str, ...], bias: Bias
     ) -> Frame:
         result = self._engine.trace_depth(self.scene, image, camera, list(lights), (bias.constant, bias.quadratic))
-        states = result.states.reshape(len(names), *image.shape)
         reached = {
             light.name: (result.reached[number].reshape(image.shape), light.samples)
             for number, light in enumerate(lights)
             if isinstance(light, SphereLight)
         }
-        return Frame(names, states, result.stages, result.counters, reached)
+        return Frame(names, image.shape, result.found, result.stages, result.counters, reached)
 
     def _check_frame(
         self, depth: Any, camera: Camera, lights: Sequence[Light], bias: Bias | float | None

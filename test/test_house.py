@@ -20,7 +20,7 @@ _IDS = [path.relative_to(_ROOT).as_posix() for path in _MODULES]
 _MAY_USE = {
     "scene": ("shadow_tracer.scene",),
     "gpu": ("shadow_tracer.gpu", "shadow_tracer.scene"),
-    "frame": ("shadow_tracer.scene",),
+    "frame": ("shadow_tracer.gpu.packed_states", "shadow_tracer.scene"),
     "tracer": ("shadow_tracer.frame", "shadow_tracer.gpu", "shadow_tracer.scene"),
     "self_test": ("shadow_tracer.frame", "shadow_tracer.tracer", "shadow_tracer.gpu.pipelines", "shadow_tracer.scene"),
     "__init__": (

@@ -18,10 +18,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import EXACT, LEAF_TESTS, RETESTED, Change
+from shadow_tracer.gpu.buffers import EXACT, LEAF_TESTS, RETESTED
 from shadow_tracer.gpu.exact import determinant_sign
 from shadow_tracer.gpu.light_frame import PENDING, SHADOWED
 from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.shadow_test import (
     FILTER_BLOCK,
     MAGNITUDE_FLOOR,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import SceneBuffers
+from shadow_tracer.gpu.scene_buffers import SceneBuffers
 
 CLUSTER = 16  # triangles
 _BOXES = 16  # clusters whose boxes are made, and looked at, together

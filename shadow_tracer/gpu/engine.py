@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,17 +15,21 @@ import numpy.typing as npt
 
 from shadow_tracer.gpu import light_frame, soft
 from shadow_tracer.gpu.anchor import depth_anchor, points_anchor
-from shadow_tracer.gpu.buffers import Change, FrameBuffers, SceneBuffers
+from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.calibration import calibrate
 from shadow_tracer.gpu.chooser import Chooser, Names, Situation
 from shadow_tracer.gpu.cuts import LEAST, even_cuts, image_cuts, share_count
 from shadow_tracer.gpu.graphs import FrameGraphs
 from shadow_tracer.gpu.light_frame import Anchor, make_light_frame
+from shadow_tracer.gpu.packed_states import PackedStates
 from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.pipelines import AUTO, Pipeline, side_by_side
+from shadow_tracer.gpu.results import Traced, gather_counters, gather_stages, gather_states
 from shadow_tracer.gpu.samples import Samples, depth_of
+from shadow_tracer.gpu.scene_buffers import Change, SceneBuffers
 from shadow_tracer.gpu.share import Share
 from shadow_tracer.gpu.stages import Stages
+from shadow_tracer.gpu.state_planes import StatePlanes
 from shadow_tracer.gpu.triangles import Context, TriangleRecords
 from shadow_tracer.gpu.workers import Job, Workers
 from shadow_tracer.scene.bounds import Bounds
@@ -33,17 +37,6 @@ from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.lights import HardLight, Light, SphereLight
 from shadow_tracer.scene.mesh import Scene
-
-
-@dataclass(frozen=True)
-class Traced:
-    """Result of a frame: (L, N) uint8 states, milliseconds per stage, counters; for each sphere light by its number
-    (N,) how many of its points reach."""
-
-    states: npt.NDArray[np.uint8]
-    stages: dict[str, float]
-    counters: dict[str, int]
-    reached: dict[int, npt.NDArray[np.uint16]] = field(default_factory=dict)
 
 
 class Engine:
@@ -64,8 +57,10 @@ class Engine:
         self._workers = Workers(share_count(device, bounds, threads, self._use_graphs))
         self._loaded: set[tuple[Names, str | None, bool]] = set()  # what has been launched, and so loaded
         self._cold = False  # whether this frame has loaded kernels, or recorded its launches
-        self._frame = FrameBuffers(bounds, device, self._workers.count)
-        self._scene = SceneBuffers(bounds, device)
+        mirrored = device.is_cuda or self._use_graphs
+        self._frame = FrameBuffers(bounds, device, self._workers.count, mirrored=mirrored)
+        self._planes = StatePlanes(self._frame) if mirrored else None
+        self._scene = SceneBuffers(bounds, device, self._frame.upload)
         self._context = Context(self._frame, self._scene, TriangleRecords(self._frame, self._scene), self.stages)
         self._anchor: Anchor | None = None
         self._chooser: Chooser | None = None
@@ -186,6 +181,7 @@ class Engine:
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         own = self._frame.nbytes() + self._scene.nbytes() + self._context.shared.nbytes()
+        own += self._planes.nbytes() if self._planes else 0
         return own + sum(share.nbytes() for share in self._all_shares())
 
     def holds(self, depth: np.ndarray) -> bool:
@@ -293,39 +289,28 @@ class Engine:
         passes = self._passes(working, light_frames)
         stale = self._context.records.plan(light_frames, len(passes[0].lights))
         self._launch(working, passes, source, stale)
+        if self._planes:
+            with self.stages.stage("download"):
+                self._planes.fetch(len(lights))
         # Further passes may make another light's records in the place of these.
         silent = self._context.records.silent(len(lights) - 1)
         further = sum(share.finish_overflow(passes) for share in working)
         with self.stages.stage("download"):
-            states = np.empty((len(lights), sum(share.frame.count for share in working)), np.uint8)
-            for share in working:
-                share.copy_states(len(lights), states)
-            counters = self._read_counters(working)
+            found = self._found(working, len(lights), further > 0)
+            counters = gather_counters(working)
         counters["triangles"] = self._scene.triangle_count
         counters["degenerate"], counters["culled"] = silent
         counters["overflow_passes"] = further + counters.pop("overflows")
-        return Traced(states, self._read_stages(working), counters)
+        return Traced(found, gather_stages(self.stages, working), counters)
 
-    def _read_counters(self, working: Sequence[Share]) -> dict[str, int]:
-        total: dict[str, int] = {}
-        for share in working:
-            counters = share.frame.read_counters()
-            share.pipeline.learn(counters)
-            total = soft.add_up(total, counters)
-        return total
-
-    def _read_stages(self, working: Sequence[Share]) -> dict[str, float]:
-        """Of shares that worked side by side, the times of the slowest; and of stages it did not have, what others
-        took: one of them does for all what depends on scene and lights alone."""
-        own = self.stages.read()
-        if len(working) == 1 and working[0].stages is self.stages:
-            return own
-        theirs = [share.stages.read() for share in working]
-        theirs.append(max(theirs, key=lambda times: sum(times.values())))
-        together: dict[str, float] = {name: own[name] for name in own if name != "download"}
-        for times in theirs:
-            together |= times
-        return together | {"download": own["download"]}
+    def _found(self, working: Sequence[Share], lights: int, anew: bool) -> PackedStates | npt.NDArray[np.uint8]:
+        """States, of which those of a GPU have been fetched; ``anew``: but have changed since."""
+        if not self._planes:
+            return gather_states(working, lights)
+        if anew:
+            self._planes.pack(lights)
+            self._planes.fetch(lights)
+        return self._planes.read(lights)
 
     def _passes(self, working: Sequence[Share], light_frames: Sequence[light_frame.LightFrame]) -> list[Pass]:
         """As many lights together as the pipeline takes and as there is room for."""
@@ -368,6 +353,8 @@ class Engine:
             share.project(work)
             share.prepare(work)
             share.trace(work)
+        if self._planes:
+            self._planes.pack(sum(len(work.lights) for work in passes))
 
     def _side_by_side(
         self, working: Sequence[Share], passes: Sequence[Pass], source: Any, run: Callable[[Sequence[Job]], None]

@@ -24,9 +24,10 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer.gpu.binary_tree import FOUND, search
-from shadow_tracer.gpu.buffers import LEAF_TESTS, NODES_VISITED, Change
+from shadow_tracer.gpu.buffers import LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED, towards_light
 from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.shadow_test import YES, enqueue, filter_pair, is_ray, ray_magnitude, test_everything
 from shadow_tracer.gpu.triangles import Context
 from shadow_tracer.gpu.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse, search_wide

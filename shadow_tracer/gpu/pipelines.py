@@ -9,8 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from shadow_tracer.gpu.buffers import Change
     from shadow_tracer.gpu.passes import Pass
+    from shadow_tracer.gpu.scene_buffers import Change
     from shadow_tracer.gpu.triangles import Context
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu.buffers import FrameBuffers, upload
+from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.pinhole import make_pinhole
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
@@ -50,7 +50,7 @@ class Samples:
         for frame in frames:
             frame.renew()
             frame.set_camera(make_pinhole(camera, bias, frame.first))
-            upload(depth_of(frame, depth.dtype), flat[frame.first : frame.first + frame.count])
+            frame.upload(depth_of(frame, depth.dtype), flat[frame.first : frame.first + frame.count])
         self._depth, self._source = (depth.dtype, parts), (look, parts)
         return True
 
@@ -72,8 +72,8 @@ class Samples:
         samples[:, 3] = bias
         for frame, first, size in parts:
             frame.renew()
-            upload(frame.samples, samples[first : first + size])
-            upload(frame.valid, good[first : first + size])
+            frame.upload(frame.samples, samples[first : first + size])
+            frame.upload(frame.valid, good[first : first + size])
         self._source = ("points", bias), parts
 
     def holds(self, depth: np.ndarray) -> bool:

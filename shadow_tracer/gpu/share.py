@@ -16,10 +16,11 @@ import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu import projection, shadow_test, unproject
-from shadow_tracer.gpu.buffers import Change, FrameBuffers
+from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.kept_rays import KeptRays
 from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.pipelines import Pipeline, make_pipeline
+from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangles import Context
 
@@ -112,10 +113,11 @@ class Share:
             frame.launch(shadow_test.resolve_queue, (work.first, len(work.lights), frame.count), prepare)
 
     def finish_overflow(self, passes: Sequence[Pass]) -> int:
-        """Further passes for lights whose queue overflowed, or whose pipeline had more work than its lists hold. Only
-        here the host waits for the device before the result."""
+        """Further passes for lights whose queue overflowed, or whose pipeline had more work than its lists hold, as the
+        host has fetched. Only here it waits for the device before the result."""
         further = 0
-        queued, parts = self.frame.queue_counts.numpy().copy(), self.frame.parts.numpy().copy()
+        host = self.frame.host
+        queued, parts = host.read(self.frame.queue_counts).copy(), host.read(self.frame.parts).copy()
         for work in passes:
             in_parts = parts[work.first] > 1
             if not in_parts and queued[work.first] <= self.frame.bounds.queue_capacity:

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import SceneBuffers
 from shadow_tracer.gpu.exact import DETERMINANT, determinant_sign
 from shadow_tracer.gpu.light_frame import LightFrame, frame_coordinates
+from shadow_tracer.gpu.scene_buffers import SceneBuffers
 
 # Unit roundoff of float32, and the factor in front of it: the filter's evaluation chain has at most 6 roundings, 8 are
 # allowed.

@@ -11,8 +11,9 @@ from weakref import WeakValueDictionary
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, Slices
+from shadow_tracer.gpu.buffers import FrameBuffers, Slices
 from shadow_tracer.gpu.light_frame import LightFrame
+from shadow_tracer.gpu.scene_buffers import SceneBuffers
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangle_setup import prepare
 
@@ -34,8 +35,8 @@ class TriangleRecords:
         self._frame = frame
         self._scene = scene
         places = frame.bounds.max_lights
-        self._degenerate = wp.zeros(64 * places, dtype=int, device=frame.device)
-        self._culled = wp.zeros(64 * places, dtype=int, device=frame.device)
+        self._degenerate = frame.host.add(wp.zeros(64 * places, dtype=int, device=frame.device))
+        self._culled = frame.host.add(wp.zeros(64 * places, dtype=int, device=frame.device))
         self._made_for: dict[int, tuple[object, ...]] = {}
         self._stale: dict[int, bool] = {}
         self._places = 1
@@ -110,11 +111,12 @@ class TriangleRecords:
 
     def silent(self, light: int) -> tuple[int, int]:
         """Triangles that cast nothing for light number ``light``, of those that there are records of: degenerate ones,
-        and those culled. Waits for the device."""
+        and those culled; as it was when the host last fetched it."""
         if self._scene.triangle_count == 0:
             return 0, 0
-        degenerate, culled = self.silent_of(light)
-        return int(degenerate.numpy().sum()), int(culled.numpy().sum()) if self.front_face_culling else 0
+        rows = slice(64 * self.place(light), 64 * self.place(light) + 64)
+        degenerate, culled = (self._frame.host.read(array)[rows].sum() for array in (self._degenerate, self._culled))
+        return int(degenerate), int(culled) if self.front_face_culling else 0
 
     def forget(self) -> None:
         """Make them again next time, whatever is there."""

@@ -14,11 +14,12 @@ wp = pytest.importorskip("warp")
 
 from shadow_tracer import Bounds, DirectionalLight, PointLight, SpotLight  # noqa: E402
 from shadow_tracer.gpu import projection, triangle_setup, unproject  # noqa: E402
-from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers  # noqa: E402
+from shadow_tracer.gpu.buffers import FrameBuffers  # noqa: E402
 from shadow_tracer.gpu.devices import pick_device  # noqa: E402
 from shadow_tracer.gpu.light_frame import PENDING, Anchor, make_light_frame  # noqa: E402
 from shadow_tracer.gpu.pinhole import Pinhole  # noqa: E402
 from shadow_tracer.gpu.projection import FIRST_TIME, ONCE_MORE, PENDING_RAYS  # noqa: E402
+from shadow_tracer.gpu.scene_buffers import SceneBuffers  # noqa: E402
 from shadow_tracer.scene.checks import LARGEST  # noqa: E402
 from shadow_tracer.scene.mesh import Scene  # noqa: E402
 

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, State
-from shadow_tracer.gpu import buffers, engine, mesh_bvh
+from shadow_tracer.gpu import buffers, engine, mesh_bvh, scene_buffers
 from shadow_tracer.gpu.chooser import CANDIDATES
 from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.share import Share
@@ -90,7 +90,7 @@ def test_a_scene_that_was_copied_in_part_is_copied_again(monkeypatch: pytest.Mon
     _states(tracer)
     tracer.scene.put("a", *large)
     with monkeypatch.context() as patch:
-        _fail_once(patch, buffers.SceneBuffers, "_sync_part", 1)  # "a" is there, "b" is not
+        _fail_once(patch, scene_buffers.SceneBuffers, "_sync_part", 1)  # "a" is there, "b" is not
         with pytest.raises(_Out):
             _states(tracer)
     tracer.scene.put("a", *small)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Bounds, Camera, PointLight, Scene, ShadowTracer, State
-from shadow_tracer.gpu.buffers import Change, SceneBuffers
 from shadow_tracer.gpu.devices import pick_device
+from shadow_tracer.gpu.scene_buffers import Change, SceneBuffers
 
 _BOUNDS = Bounds(max_triangles=2000, max_rays=4096, max_lights=2, queue_capacity=4096, grid_entries=8192)
 _POINTS = np.random.default_rng(9).uniform(-9.0, 9.0, (40, 3))

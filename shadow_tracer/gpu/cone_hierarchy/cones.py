@@ -24,7 +24,6 @@ import math
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.buffers import upload
 from shadow_tracer.gpu.light_frame import SHADOWED
 from shadow_tracer.gpu.light_space import LightSpace, ray_depth
 from shadow_tracer.gpu.triangles import Context
@@ -302,7 +301,7 @@ class ConeTree:
             self._shape = shape
             self._rows = tree_shape(*shape)
             self.tree.top = len(self._rows) - 2
-            upload(self.tree.levels, np.array(self._rows, dtype=np.int32))
+            self._frame.upload(self.tree.levels, np.array(self._rows, dtype=np.int32))
 
     def build(self, space: LightSpace, leaves: Leaves, states: wp.array) -> None:
         """Make all nodes, over the rays that take part and are not in shadow yet."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import Change
 from shadow_tracer.gpu.cone_hierarchy import descent, descent_wide
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTreeBuffers
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
 from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.triangle_planes import Occluders
 from shadow_tracer.gpu.triangles import Context
 

@@ -28,7 +28,6 @@ from typing import NamedTuple
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import Change
 from shadow_tracer.gpu.cone_hierarchy.breadth_first import BreadthFirst, Triangles
 from shadow_tracer.gpu.cone_hierarchy.cones import ConeTree, Leaves
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
@@ -37,6 +36,7 @@ from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.light_space import make_light_space
 from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.triangles import Context
 
 

@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import Change, Slices
+from shadow_tracer.gpu.buffers import Slices
 from shadow_tracer.gpu.clusters import CLUSTER, ClusterBoxes, Clusters, await_made, claim, make_boxes, publish
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.light_grid.tiles import Tiles
 from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.shadow_test import SIXTEEN
 from shadow_tracer.gpu.triangle_setup import BLOCK, FILTER_FACTOR, LARGEST_OFFSET, SETUP_ERROR, U32, prepare_block
 from shadow_tracer.gpu.triangles import Context

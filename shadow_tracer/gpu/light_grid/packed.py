@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import Change, Slices
+from shadow_tracer.gpu.buffers import Slices
 from shadow_tracer.gpu.clusters import CLUSTER
 from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.launches import Launches
@@ -21,6 +21,7 @@ from shadow_tracer.gpu.light_grid.tiles import ALL_BLOCKS, QUANTITIES, TileBuffe
 from shadow_tracer.gpu.light_space import FACES
 from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.triangle_planes import Occluders
 from shadow_tracer.gpu.triangles import Context
 

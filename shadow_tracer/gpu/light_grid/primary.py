@@ -18,13 +18,14 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu.buffers import HostValues, SceneBuffers, upload
 from shadow_tracer.gpu.corners import project_vertex_blocks, project_vertices
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.light_grid.primary_bins import bin_triangles, count_entries, emit_entries, fill_lists
 from shadow_tracer.gpu.light_grid.primary_hit import COUNTERS, Image, Sorted, threads_of, trace_pixels
 from shadow_tracer.gpu.light_grid.primary_setup import Grid, make_camera_frame, pack_triangles
 from shadow_tracer.gpu.light_grid.primary_wide import TILE, trace_tiles
+from shadow_tracer.gpu.scene_buffers import SceneBuffers
+from shadow_tracer.gpu.transfers import HostValues
 from shadow_tracer.gpu.triangle_setup import prepare
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
@@ -127,7 +128,7 @@ class PrimaryRays:
         x = (np.arange(grid.tiles_x * tile, dtype=np.float64) - camera.cx) / camera.fx
         y = (np.arange(grid.tiles_y * tile, dtype=np.float64) - camera.cy) / camera.fy
         for axis, values in zip(self._axes, (x.astype(np.float32), -y.astype(np.float32), x, y), strict=True):
-            upload(axis, values)
+            self.scene.upload(axis, values)
         grid.columns, grid.rows, grid.columns64, grid.rows64 = self._axes
         self._grid = grid
 

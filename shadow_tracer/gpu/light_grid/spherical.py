@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.buffers import LEAF_TESTS, PASSES, Change
+from shadow_tracer.gpu.buffers import LEAF_TESTS, PASSES
 from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.light_frame import SHADOWED
 from shadow_tracer.gpu.light_grid.spherical_cells import CellLists
 from shadow_tracer.gpu.light_grid.spherical_rays import TiledRays, Tiles, cell_of
 from shadow_tracer.gpu.participants import Answers, Participants, settle
 from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.shadow_test import NO, YES, filter_pair, ray_magnitude
 from shadow_tracer.gpu.triangle_planes import Occluders
 from shadow_tracer.gpu.triangles import Context

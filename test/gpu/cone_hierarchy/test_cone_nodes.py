@@ -13,7 +13,7 @@ import warp as wp
 from node_fuzz import LIGHTS, RAYS, bundles, decide_all
 
 from shadow_tracer import Bounds, Scene
-from shadow_tracer.gpu.buffers import FrameBuffers, SceneBuffers, upload
+from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.cone_hierarchy import cone_test, cones
 from shadow_tracer.gpu.cone_hierarchy.breadth_first import Triangles, see
 from shadow_tracer.gpu.corners import Corners
@@ -22,6 +22,7 @@ from shadow_tracer.gpu.light_space import make_light_space
 from shadow_tracer.gpu.participants import Participants
 from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.projection import project
+from shadow_tracer.gpu.scene_buffers import SceneBuffers
 from shadow_tracer.gpu.stages import Stages
 from shadow_tracer.gpu.triangles import Context, TriangleRecords
 
@@ -59,8 +60,8 @@ def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
     world.put("mesh", corners.reshape(-1, 3), triangles)
     scene.sync(world)
     bias = np.where(np.arange(len(points)) % 3 == 0, 0.02, 0.0)
-    upload(frame.samples, np.concatenate([points, bias[:, None]], axis=1))
-    upload(frame.valid, np.ones(len(points), np.uint8))
+    frame.upload(frame.samples, np.concatenate([points, bias[:, None]], axis=1))
+    frame.upload(frame.valid, np.ones(len(points), np.uint8))
     frame.set_samples(len(points), 0)
     # A small anchor leaves most samples far to the side of it.
     around = make_light_frame(light, make_anchor(np.zeros(3), (4.0, 0.3)[seed % 2], None))

@@ -25,22 +25,26 @@ from shadow_tracer import (
 
 
 def test_only_changes_are_uploaded(any_device, monkeypatch):
-    from shadow_tracer.gpu import buffers
+    from shadow_tracer.gpu.scene_buffers import SceneBuffers
+    from shadow_tracer.gpu.transfers import Uploads
 
     uploaded: list[int] = []
     placed: list[int] = []
-    original, place = buffers.upload, buffers.SceneBuffers._place
+    original, place = Uploads.__call__, SceneBuffers._place
 
-    def count(to: Any, what: np.ndarray, offset: int = 0) -> None:
-        uploaded.append(len(what))
-        original(to, what, offset)
+    def count(uploads: Uploads, to: Any, what: np.ndarray, offset: int = 0) -> None:
+        if to.ptr in scene_arrays:
+            uploaded.append(len(what))
+        original(uploads, to, what, offset)
 
     mesh, camera = VIEWS["street"]
     ball = geometry.icosphere(2, 0.4)
     made = DepthCamera(any_device, Bounds(max_triangles=20_000, max_rays=10_000, grid_entries=50_000))
-    monkeypatch.setattr(buffers, "upload", count)
+    # Not the columns and rows of the image.
+    scene_arrays = [array.ptr for array in (made._rays.scene.local, made._rays.scene.triangles)]
+    monkeypatch.setattr(Uploads, "__call__", count)
     monkeypatch.setattr(
-        buffers.SceneBuffers,
+        SceneBuffers,
         "_place",
         lambda self, mesh, *first: (placed.append(len(mesh.vertices)), place(self, mesh, *first)),
     )
