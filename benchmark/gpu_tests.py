@@ -21,7 +21,13 @@ from report import ROOT
 # The most telling first: what does not fit into the time is left out from the end.
 GROUPS: dict[str, tuple[str, ...]] = {
     "arithmetic": ("test/gpu/test_exact.py", "test/gpu/test_blocks.py"),
-    "frames": ("test/test_tracer_trace.py", "test/test_tracer_motion.py", "test/gpu/test_graphs.py"),
+    "frames": (
+        "test/gpu/test_transfers.py",
+        "test/gpu/test_scene_buffers.py",
+        "test/test_tracer_trace.py",
+        "test/test_tracer_motion.py",
+        "test/gpu/test_graphs.py",
+    ),
     "cases of every pipeline": (
         "test/gpu/test_ties.py",
         "test/gpu/test_degenerate.py",

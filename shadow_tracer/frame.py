@@ -100,7 +100,7 @@ class Frame:
         for soft in self._reached if name is None else self._reached.keys() & {name}:
             np.maximum(mask, self._penumbra(soft), out=mask)
         if unknown:
-            mask[invalid()] = unknown
+            mask |= invalid().view(np.uint8) * np.uint8(unknown)  # 0 so far: several times faster than by index
         return mask
 
     def _lit(self, name: str | None) -> tuple[ByteImage, Callable[[], npt.NDArray[np.bool_]]]:

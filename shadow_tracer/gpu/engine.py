@@ -354,7 +354,8 @@ class Engine:
             share.prepare(work)
             share.trace(work)
         if self._planes:
-            self._planes.pack(sum(len(work.lights) for work in passes))
+            with self.stages.stage("download"):
+                self._planes.pack(sum(len(work.lights) for work in passes))
 
     def _side_by_side(
         self, working: Sequence[Share], passes: Sequence[Pass], source: Any, run: Callable[[Sequence[Job]], None]

@@ -8,6 +8,7 @@ from typing import Any
 import geometry
 import numpy as np
 import pytest
+import warp as wp
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
 
@@ -79,6 +80,39 @@ def test_a_replayed_frame_is_one_stage(way: tuple[str, str], any_device: str) ->
         frame = tracer.trace(_depth(rng, camera), camera, [lamp])
     assert list(frame.stages) == ["upload", "graph", "download"]
     assert frame.counters["rays"] > 1000 and frame.counters["nodes_visited"] > 0
+
+
+@pytest.mark.parametrize("variant", ["cone_hierarchy/linear_scalar", "light_grid/packed_scalar"])
+def test_the_host_reads_only_what_it_has_fetched(
+    variant: str, any_device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame of which everything is new, the way a GPU goes: to read an array of the device is to wait for it."""
+    pipeline, name = variant.split("/")
+    tracer = ShadowTracer(pipeline, name, device=any_device, bounds=_BOUNDS, graphs=True)
+    engine: Any = tracer._engine
+    frame = engine._frame
+    frame.upload._staged = True
+    rng, (vertices, triangles) = np.random.default_rng(3), geometry.icosphere(2, 1.0, (0.0, 0.0, 3.0))
+    lights = [PointLight("lamp", (0.0, -2.0, 0.5)), DirectionalLight("sun", (0.1, 0.2, 1.0))]
+    tracer.scene.put("ball", vertices, triangles)
+    read, numpy = [], wp.array.numpy
+    monkeypatch.setattr(wp.array, "numpy", lambda array: read.append(array.ptr) or numpy(array))
+    fetched = 0
+    original = frame.host.fetch
+
+    def fetch(*args: Any) -> None:
+        nonlocal fetched
+        fetched += 1
+        original(*args)
+
+    monkeypatch.setattr(frame.host, "fetch", fetch)
+    for step in range(5):
+        tracer.scene.deform("ball", vertices * (1.0 + 0.01 * step))
+        camera = _camera(step)
+        traced = tracer.trace(_depth(rng, camera), camera, lights)
+    assert engine._graphs.recorded() == 1 and traced.counters["overflow_passes"] == 0
+    assert fetched == 5
+    assert read and set(read) <= {mirror.ptr for mirror in frame.host._mirrors.values()}
 
 
 def test_recordings_do_not_outlive_the_pipeline(way: tuple[str, str], any_device: str) -> None:
