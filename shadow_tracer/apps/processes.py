@@ -12,7 +12,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
@@ -83,28 +84,22 @@ class Processes:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # a second Ctrl-C must not leave children behind
-        main = threading.current_thread() is threading.main_thread()
-        previous = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
-        try:
+        with _signals_held_back():  # a second Ctrl-C must not leave children behind
             self.stop()
             shutil.rmtree(self.folder, ignore_errors=True)
-        finally:
-            if previous is not None:
-                signal.signal(signal.SIGINT, previous)
 
     def start(self, name: str, module: str, *arguments: str, on_line: Callable[[str], None] | None = None) -> None:
         """Starts `python -m module arguments`; its output goes to a log file, or line by line to `on_line`."""
         log = self._log(name)
-        with log.open("wb") as file:
-            child = subprocess.Popen(
+        # an interrupt between the child's beginning and our knowing of it would leave it behind
+        with log.open("wb") as file, _signals_held_back():
+            child = self._children[name] = subprocess.Popen(
                 [sys.executable, "-m", module, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=file if on_line is None else subprocess.PIPE,
                 stderr=file,
                 preexec_fn=_die_with_parent if sys.platform == "linux" else None,
             )
-        self._children[name] = child
         if on_line is not None:
             reader = threading.Thread(target=_read_lines, args=(child, on_line), name=f"{name} output", daemon=True)
             reader.start()
@@ -139,6 +134,24 @@ class Processes:
 
     def _log(self, name: str) -> Path:
         return self.folder / f"{name}.log"
+
+
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """SIGINT and SIGTERM that come inside take effect at the end; not in other threads, which Python sends none."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    previous = {number: signal.signal(number, lambda which, _: came.append(which)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def _read_lines(child: subprocess.Popen[bytes], on_line: Callable[[str], None]) -> None:

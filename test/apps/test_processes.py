@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Children of the demo end with it, whenever it is interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from shadow_tracer.apps import processes
+
+_SLEEPER = "import time; print('up', flush=True); time.sleep(600)"
+
+
+@pytest.fixture
+def sleeper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Name of a module that does nothing for ten minutes; and what a demo changes in the environment is put back."""
+    (tmp_path / "sleeper.py").write_text(_SLEEPER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", "FASTRTPS_DEFAULT_PROFILES_FILE"):
+        monkeypatch.setenv(name, os.environ.get(name, "1"))
+    return "sleeper"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_a_child_is_begun(
+    sleeper: str, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The signal comes when the child is there and nobody has noted it: it is interrupted then, and the child ends."""
+    began: list[subprocess.Popen[bytes]] = []
+    original = subprocess.Popen
+
+    def begin(*args: Any, **kwargs: Any) -> subprocess.Popen[bytes]:
+        began.append(original(*args, **kwargs))
+        os.kill(os.getpid(), number)
+        return began[0]
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(processes.subprocess, "Popen", begin)
+    previous = signal.signal(number, interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt), processes.Processes() as children:
+            children.start("sleeper", sleeper)
+        assert signal.getsignal(number) is interrupt
+    finally:
+        signal.signal(number, previous)
+    assert began[0].poll() is not None
+    assert not children.folder.exists()
+
+
+def test_a_second_interrupt_waits_until_all_children_have_ended(sleeper: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    stop = processes.Processes.stop
+
+    def interrupted(self: processes.Processes) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        stop(self)
+
+    monkeypatch.setattr(processes.Processes, "stop", interrupted)
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), processes.Processes() as children:
+            children.start("sleeper", sleeper)
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    assert children.exit_code("sleeper") is not None
+    assert not children.folder.exists()
+
+
+def test_a_child_does_not_outlive_a_parent_that_was_killed(sleeper: str, tmp_path: Path) -> None:
+    """It has no time to end anybody."""
+    program = (
+        "import os, signal, time\n"
+        "from shadow_tracer.apps.processes import Processes\n"
+        "with Processes() as children:\n"
+        "    children.start('sleeper', 'sleeper', on_line=lambda line: os.kill(os.getpid(), signal.SIGKILL))\n"
+        "    print(children._children['sleeper'].pid, children.folder, flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    path = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])])
+    environment = {**os.environ, "PYTHONPATH": path, "TMPDIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    child = int(done.stdout.split()[0])
+    end = time.monotonic() + 30
+    while not _has_ended(child):
+        assert time.monotonic() < end, "still running"
+        time.sleep(0.01)
+
+
+def _has_ended(pid: int) -> bool:
+    """Gone, or a zombie: nobody but init waits for it."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
