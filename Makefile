@@ -43,8 +43,8 @@ help: ## this list
 demo: $(VENV)/.has-demo ## play a moving scene through the node, pictures into demo_output/; DATA=<folder> plays recorded depth images
 	@$(PY) -m shadow_tracer.apps.demo $(if $(DATA),--data "$(DATA)") $(ARGS)
 
-test: $(VENV)/.has-test ## all tests; ARGS="-k name" passes options to pytest
-	@$(PY) -m pytest -q $(ARGS)
+test: $(VENV)/.has-test ## all tests, on up to four cores; ARGS="-k name" passes options to pytest, ARGS="-n 0" takes one process
+	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile $(ARGS)
 
 benchmark: $(VENV)/.has-benchmark ## the suite beside Embree, wp.Mesh and others, figures and plots into benchmark_output/; ARGS="--quick" is short
 	@$(PY) benchmark/suite.py --out benchmark_output $(ARGS)

@@ -48,7 +48,7 @@ setup(
         "bag": ["pyyaml>=6.0", "rich>=13.7", "rosbags>=0.11", "scipy>=1.11"],
         "demo": ["pillow>=10.3", "rich>=13.7"],
         "benchmark": ["embreex>=2.17.7", "matplotlib>=3.8", "pillow>=10.3", "rich>=13.7", "trimesh>=4.4"],
-        "test": ["pillow>=10.3", "pytest>=8.2", "pyyaml>=6.0", "setuptools>=64"],
+        "test": ["pillow>=10.3", "pytest>=8.2", "pytest-xdist>=3.6", "pyyaml>=6.0", "setuptools>=64"],
         # Upper bounds: a new release of these may find new faults in old code.
         "dev": ["build>=1.2", "mypy>=2.4,<2.5", "pre-commit>=4.0", "ruff>=0.17,<0.18"],
     },

@@ -157,6 +157,8 @@ class Ours(Entry):
             self.tracer.scene.deform("mesh", self._positions[frame])
         shot = self._case.frames[frame].shot
         self.last = self.tracer.trace(shot.depth, shot.camera, self._case.lights, bias=self._case.view.bias)
+        for light in self._case.lights:
+            self.last.mask(light.name)  # a GPU's states come packed: to have an image belongs to the frame
         return self.last
 
     def stages(self) -> dict[str, float]:
