@@ -53,9 +53,14 @@ def draw(results: dict[str, Any], folder: Path) -> list[Path]:
 def _caption(results: dict[str, Any]) -> str:
     machine = results["machine"]
     changed = " and changes" if machine["changed since"] else ""
+    packages = {"warp-lang": "", "embreex": "Embree", "open3d": "Open3D"}  # and who takes part by them
+    absent = results.get("absent", {})
+    peers = ", ".join(
+        f"{name} {machine[name]}" for name, peer in packages.items() if name in machine and peer not in absent
+    )
     return (
-        f"{machine['processor']}, {results['threads']} core(s) for everybody, warp {machine['warp-lang']}, "
-        f"embreex {machine['embreex']}, commit {machine['commit']}{changed}. Medians; every answer was compared."
+        f"{machine['processor']}, {results['threads']} core(s) for everybody, {peers}, commit "
+        f"{machine['commit']}{changed}. Medians; every answer was compared."
     )
 
 
@@ -187,12 +192,12 @@ def _maps(rows: Rows, caption: str) -> Figure:
         errors = [row["wrong %"] for row in line]
         axes.plot([row["map"] for row in line], errors, "o-", color=colour, label=view, linewidth=1.5)
     axes.axhline(0.0, color=_INK, linewidth=2.5)
-    axes.annotate("shadow_tracer: 0, whatever the light", (rows[0]["map"], 0.0), xytext=(0, 4), fontsize=9,
-                  textcoords="offset points", color=_INK)  # fmt: skip
+    axes.annotate("shadow_tracer: 0, whatever the light", (rows[0]["map"], 0.0), xytext=(0, -5), fontsize=9,
+                  textcoords="offset points", va="top", color=_INK)  # fmt: skip
     axes.set_xscale("log", base=2)
     sizes = sorted({row["map"] for row in rows})
     axes.set_xticks(sizes, [f"{size}²" for size in sizes])
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(bottom=-0.08 * max(row["wrong %"] for row in rows))
     axes.set_xlabel("texels of each map of the cube around the light", fontsize=9, color=_INK)
     axes.set_ylabel("wrong pixels [%]", fontsize=9, color=_INK)
     axes.set_title("A shadow map with the bias that suits it best: pixels it gets wrong", fontsize=10, loc="left")
