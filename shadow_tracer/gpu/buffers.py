@@ -7,6 +7,7 @@ does (queue length, counters). Nothing here allocates per frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -56,11 +57,15 @@ class Slices:
         return made
 
 
+# Rays that a share has room for, in parts of an even one: cuts are moved until all take equally long (``balance.py``).
+_ROOM = 1.25
+
+
 def share_of(bounds: Bounds, shares: int) -> Bounds:
     """Capacities of one of several shares of the rays; of each list at least one place."""
     return replace(
         bounds,
-        max_rays=-(-bounds.max_rays // shares),
+        max_rays=min(bounds.max_rays, math.ceil(_ROOM * bounds.max_rays / shares)),
         queue_capacity=max(1, bounds.queue_capacity // shares),
         grid_entries=max(1, bounds.grid_entries // shares),
     )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,21 +27,28 @@ def even_cuts(count: int, shares: int) -> list[tuple[int, int]]:
     return list(zip(ends[:-1], ends[1:], strict=True))
 
 
-def image_cuts(depth: np.ndarray, shares: int, room: int) -> list[tuple[int, int]]:
-    """First pixel and end of each share: bands of the image with about as many measurements each, as far as there is
-    ``room`` in a share."""
-    size = depth.size
+def image_cuts(depth: np.ndarray, at: Sequence[float], room: int) -> tuple[list[tuple[int, int]], list[float]]:
+    """First pixel and end of each share: bands of the image.
+
+    Args:
+        at: where to cut, in parts of all measurements from the top, ascending.
+        room: the most pixels of a share; all shares together hold the image.
+
+    Returns:
+        The bands, and where the cuts really are: at rows, and no share has more pixels than there is room for.
+    """
+    size, width, shares = depth.size, depth.shape[1], len(at) + 1
     if shares == 1:
-        return [(0, size)]
+        return [(0, size)], []
     step = max(1, min(depth.shape) // 64)
     seen = depth[::step, ::step]
-    measured = np.cumsum(((seen > 0) & np.isfinite(seen)).sum(axis=1) + 0.1 * seen.shape[1])
-    rows = np.searchsorted(measured, measured[-1] * np.arange(1, shares) / shares) * step
+    measured = np.cumsum([0.0, *((seen > 0) & np.isfinite(seen)).sum(axis=1) + 0.1 * seen.shape[1]])
+    rows = np.searchsorted(0.5 * (measured[1:] + measured[:-1]), measured[-1] * np.asarray(at)) * step
     ends = [0]
     for number, row in enumerate(rows, start=1):
-        end = int(row) * depth.shape[1]
         # Neither this share nor those that follow may get more than they have room for.
-        end = max(min(end, ends[-1] + room), size - (shares - number) * room, ends[-1])
+        end = max(min(int(row) * width, ends[-1] + room), size - (shares - number) * room, ends[-1])
         ends.append(end)
     ends.append(size)
-    return list(zip(ends[:-1], ends[1:], strict=True))
+    above = np.interp([end / width / step for end in ends[1:-1]], np.arange(len(measured)), measured)
+    return list(zip(ends[:-1], ends[1:], strict=True)), [float(part) for part in above / measured[-1]]

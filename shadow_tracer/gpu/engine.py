@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from shadow_tracer.gpu import light_frame, soft
 from shadow_tracer.gpu.anchor import depth_anchor, points_anchor
+from shadow_tracer.gpu.balance import Balance
 from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.calibration import calibrate
 from shadow_tracer.gpu.chooser import Chooser, Names, Situation
-from shadow_tracer.gpu.cuts import LEAST, even_cuts, image_cuts, share_count
+from shadow_tracer.gpu.cuts import LEAST, even_cuts, share_count
 from shadow_tracer.gpu.graphs import FrameGraphs
 from shadow_tracer.gpu.light_frame import Anchor, make_light_frame
 from shadow_tracer.gpu.packed_states import PackedStates
@@ -65,6 +66,7 @@ class Engine:
         self._anchor: Anchor | None = None
         self._chooser: Chooser | None = None
         self._teams: dict[Names, list[Share]] = {}
+        self._balances: dict[Names, Balance] = {}
         self._team: list[Share] = []
         self._lights: tuple[object, ...] = ()
         self._second: Share | None = None
@@ -91,6 +93,7 @@ class Engine:
             shares = self._workers.count if side_by_side(*names) else 1
             teams[names] = [Share(self._part(k, shares), *names, not self._use_graphs) for k in range(shares)]
         self._chooser, self._teams, self._team = chooser, teams, next(iter(teams.values()))
+        self._balances = {names: Balance(len(team)) for names, team in teams.items() if len(team) > 1}
         self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
@@ -204,13 +207,23 @@ class Engine:
         with self.stages.stage("upload"):
             situation = self._choose(self._sync(scene), depth.size, lights)
             begin, team = time.perf_counter(), self._working(depth.size)
-            working = _deal(team, image_cuts(depth, len(team), team[0].frame.bounds.max_rays), camera.width)
-            new = self._samples.put_depth(self._frames(working), depth, camera, bias)
+            working = [share for share in team if share.frame.count]
+            new = not self._samples.has_depth(self._frames(working), depth, camera, bias)
+            if new:  # else the cuts stay where they are, and with them all that is kept of the rays
+                working = _deal(team, self._cut(team, depth), camera.width)
+                self._samples.put_depth(self._frames(working), depth, camera, bias)
         self._anchor = depth_anchor(depth, camera, bias, self._anchor)
         caught_up = all(share.seen == before for share in working)
         traced = self._trace_all(working, lights, depth.dtype if new else None)
         self._learn(situation if caught_up and not self._cold else None, begin)
+        if new and not self._cold and len(working) == len(self._team) > 1:
+            self._balances[working[0].names].learn([share.busy for share in working])
         return traced
+
+    def _cut(self, team: Sequence[Share], depth: np.ndarray) -> list[tuple[int, int]]:
+        if len(team) == 1:
+            return [(0, depth.size)]
+        return self._balances[team[0].names].cut(depth, team[0].frame.bounds.max_rays)
 
     def trace_points(
         self,
@@ -237,6 +250,7 @@ class Engine:
         self._cold = False
         for share in self._all_shares():
             share.stages.reset()
+            share.busy = 0.0
         self.stages.reset()
         try:
             yield
@@ -363,11 +377,13 @@ class Engine:
         for number, work in enumerate(passes):
             working[0].prepare(work)
 
-            def job(share: Share, work: Pass = work, begin: bool = number == 0) -> None:
-                if begin:
+            def job(share: Share, work: Pass = work, first: bool = number == 0) -> None:
+                begin = time.perf_counter()
+                if first:
                     share.begin(None if source is None else depth_of(share.frame, source))
                 share.project(work)
                 share.trace(work)
+                share.busy += time.perf_counter() - begin
 
             run([partial(job, share) for share in working])
 

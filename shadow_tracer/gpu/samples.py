@@ -35,24 +35,25 @@ class Samples:
         """Others have written where they were."""
         self._depth = self._source = None
 
-    def put_depth(
+    def has_depth(
         self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: tuple[float, float]
     ) -> bool:
-        """A depth image, (H, W) float32 metres or uint16 millimetres, C order. Returns whether samples are to be made
-        of it."""
-        parts = _parts_of(frames)
-        pose = camera.camera_to_world.tobytes()
-        look = (camera.width, camera.fx, camera.fy, camera.cx, camera.cy, pose, bias, depth.dtype.str)
-        if self._compare and self._source == (look, parts) and self.holds(depth):
-            return False
+        """Whether the samples in ``frames`` are those of a depth image."""
+        source = _look(depth, camera, bias), _parts_of(frames)
+        return self._compare and self._source == source and self.holds(depth)
+
+    def put_depth(
+        self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: tuple[float, float]
+    ) -> None:
+        """A depth image, (H, W) float32 metres or uint16 millimetres, C order, of which samples are to be made."""
         self.forget()
         flat = depth.reshape(-1)
         for frame in frames:
             frame.renew()
             frame.set_camera(make_pinhole(camera, bias, frame.first))
             frame.upload(depth_of(frame, depth.dtype), flat[frame.first : frame.first + frame.count])
-        self._depth, self._source = (depth.dtype, parts), (look, parts)
-        return True
+        parts = _parts_of(frames)
+        self._depth, self._source = (depth.dtype, parts), (_look(depth, camera, bias), parts)
 
     def put_points(
         self,
@@ -95,6 +96,12 @@ class Samples:
 def depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
     """The buffer for depth images of a format."""
     return frame.depth_metres if np.dtype(kind) == np.float32 else frame.depth_millimetres
+
+
+def _look(depth: np.ndarray, camera: Camera, bias: tuple[float, float]) -> Hashable:
+    """What samples depend on beside the measurements and their number."""
+    pose = camera.camera_to_world.tobytes()
+    return camera.width, camera.fx, camera.fy, camera.cx, camera.cy, pose, bias, depth.dtype.str
 
 
 def _parts_of(frames: Sequence[FrameBuffers]) -> Parts:

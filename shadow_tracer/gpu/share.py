@@ -40,6 +40,7 @@ class Share:
         pipeline: it.
         news: the worst that has happened to the scene since the pipeline took note.
         seen: the version of the scene it took note of, -1 if there is none yet.
+        busy: seconds that a frame's rays have taken, set to zero by whoever begins one.
     """
 
     def __init__(self, context: Context, pipeline: str, variant: str, keep: bool = False) -> None:
@@ -49,6 +50,7 @@ class Share:
         self.pipeline: Pipeline = make_pipeline(pipeline, variant, context)
         self.news = Change.TOPOLOGY
         self.seen = -1
+        self.busy = 0.0
         self._kept = KeptRays(self.frame) if keep and self.pipeline.keeps_rays else None
         self._again = False
 

@@ -63,11 +63,11 @@ def test_shares_without_pixels_have_nothing_to_do(names: str, case: str, monkeyp
         camera, threads = Camera(40000, 1, 2e4, 2e4, 2e4, 0.0), 2
         depth = np.full((1, 40000), 3.0, np.float32)
     else:
-        camera, threads = Camera(640, 480, 320.0, 320.0, 319.5, 2.0), 8
+        camera, threads = Camera(640, 480, 320.0, 320.0, 319.5, 2.0), 16
         depth = np.zeros((480, 640), np.float32)
         depth[:5] = 3.0
     bounds = replace(_BOUNDS, max_rays=2 * depth.size)
-    cuts = image_cuts(depth, threads, bounds.max_rays // threads)
+    cuts, _ = image_cuts(depth, np.arange(1, threads) / threads, bounds.max_rays // threads)
     assert any(first == end for first, end in cuts) and sum(end - first for first, end in cuts) == depth.size
     one, two = (_with_a_ball(_tracer(names, n, bounds)) for n in (1, threads))
     counts: list[int] = []

@@ -4,6 +4,7 @@ themselves."""
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import replace
 from typing import Any
@@ -77,7 +78,7 @@ def test_shares_divide_what_is_made_on_demand(threads: int) -> None:
 
 @pytest.mark.parametrize("kept", ["top", "bottom", "middle", "none", "one"])
 def test_measurements_in_one_place(kept: str) -> None:
-    """Bands have equal numbers of measurements, as far as there is room: half of all pixels at most."""
+    """Bands have equal numbers of measurements, as far as there is room: five eighths of all pixels at most."""
     seen = view()
     depth = np.zeros_like(seen.depth)
     rows = {"top": slice(0, 40), "bottom": slice(-40, None), "middle": slice(100, 140), "none": slice(0, 0)}
@@ -87,12 +88,12 @@ def test_measurements_in_one_place(kept: str) -> None:
         depth[rows[kept]] = seen.depth[rows[kept]]
     made = tracer(("light_grid", "packed"), 2)
     assert np.array_equal(states(made, seen, depth), states(tracer(("light_grid", "packed"), 1), seen, depth))
-    assert max(part.frame.count for part in shares(made)) <= -(-_COUNT // 2)
+    assert max(part.frame.count for part in shares(made)) <= math.ceil(0.625 * _COUNT)
 
 
-@pytest.mark.parametrize(("count", "used"), [(51200, 1), (51198, 2), (40000, 2), (32768, 2)])
+@pytest.mark.parametrize(("count", "used"), [(51200, 1), (40960, 1), (40958, 2), (32768, 2)])
 def test_samples_that_one_share_would_be_enough_for_if_it_had_room(count: int, used: int) -> None:
-    """25,600 are too few for two threads; a share has room for half of ``max_rays``."""
+    """25,600 are too few for two threads; a share has room for five eighths of ``max_rays``."""
     seen = view()
     made, one = (tracer(("light_grid", "packed"), n, replace(_BOUNDS, max_rays=count)) for n in (2, 1))
     depth, camera = seen.depth[:160, :160], replace(seen.camera, width=160, height=160)
@@ -202,7 +203,8 @@ def test_both_shares_really_run_at_once(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_memory_is_shared_not_doubled() -> None:
     one, two = (tracer(("light_grid", "packed"), threads, Bounds()) for threads in (1, 2))
-    assert two.device_bytes < 1.05 * one.device_bytes
+    # Each has room for a quarter more rays than its part.
+    assert two.device_bytes < 1.15 * one.device_bytes
 
 
 @pytest.mark.parametrize("value", [0, -1, 65, 1.5, True, "2"])
