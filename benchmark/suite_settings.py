@@ -44,7 +44,7 @@ _SLOW = (
 )
 
 # Seconds after which a section begins nothing new. What it leaves over the next ones have.
-_BUDGET = {"scenes": 140, "variants": 45, "rays": 40, "triangles": 65, "lights": 60, "maps": 35, "memory": 25}
+_BUDGET = {"scenes": 200, "variants": 45, "rays": 40, "triangles": 65, "lights": 60, "maps": 35, "memory": 25}
 _QUICK_BUDGET = {"scenes": 14, "variants": 4, "rays": 5, "triangles": 6, "lights": 7, "maps": 3, "memory": 7}
 
 
