@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import suite
 import suite_settings
 import suite_targets
 from case import Case, Wrong
-from contest import Effort, contest
+from contest import Effort, _rounds, contest
 from scenes import View, procedural_view, views
 from stolen import stolen
 from suite_settings import Clock, Settings
@@ -180,6 +181,33 @@ def test_every_frame_has_another_image() -> None:
     first, second = (frame.shot.depth for frame in case.frames)
     seen = np.isfinite(first)
     assert np.array_equal(seen, np.isfinite(second)) and (first != second)[seen].mean() > 0.5
+
+
+def test_nobody_always_follows_the_same() -> None:
+    """What runs before leaves caches and clock as it does: every turn has an order of its own, with everybody in it."""
+    calls: list[str] = []
+
+    class Quiet:
+        exact = False
+
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def dynamic(self, frame: int) -> None:
+            calls.append(self.name)
+
+        def wrong(self, *_: Any) -> int:
+            return 0
+
+    case = SimpleNamespace(frames=[None, None], dynamic=[None, None])
+    names = list("abcdef")
+    effort = Effort(frames=6, seconds=60.0)
+    timings = _rounds(case, [Quiet(name) for name in names], "dynamic", effort)  # type: ignore[arg-type]
+    assert all(len(timing.times) >= 1 for timing in timings.values())
+    turns = [calls[first : first + 6] for first in range(0, 36, 6)]
+    assert all(sorted(turn) == names for turn in turns)
+    for name in names:
+        assert len({calls[k - 1] for k in range(1, 36) if calls[k] == name}) > 1
 
 
 def _row(**given: Any) -> dict[str, Any]:
