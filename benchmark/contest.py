@@ -18,6 +18,7 @@ from stolen import stolen
 _MOST_WRONG = 1e-3  # part of the rays: peers work in float32; more than this is not the same question
 _WARM_UP = 3  # rounds whose times are not kept: kernels are loaded, and shares balanced
 _LOST = 0.05  # part of a frame's time: with more of it lost to others the frame is disturbed
+_SHORT, _LEAST = 3, 0.2  # times the frames, as long as they take less than this part of the effort's seconds
 _PATIENCE = 4  # times the effort, for frames that are not disturbed
 
 
@@ -44,7 +45,9 @@ class Timing:
     def enough(self, effort: Effort) -> bool:
         """Whether there need not be more."""
         if self.calm:
-            return len(self.calm) >= effort.frames or self.spent > effort.seconds
+            # Short frames are at the mercy of single accidents: more of them cost nothing.
+            few = len(self.calm) < _SHORT * effort.frames and sum(self.calm) < 1e3 * _LEAST * effort.seconds
+            return (len(self.calm) >= effort.frames and not few) or self.spent > effort.seconds
         return bool(self.disturbed) and self.spent > _PATIENCE * effort.seconds
 
 

@@ -166,7 +166,8 @@ def test_frames_that_lost_the_processor_do_not_count_if_others_did_not(monkeypat
 
     monkeypatch.setattr("contest.stolen", lost)
     (row,) = contest(case, [rivals.BruteForce("filtered", case, 50)], Effort(4, 9.0), static=False)
-    assert (row["frames"], row["disturbed"]) == (4, 2)
+    # Short frames: up to three times as many as asked for, of four times as many turns.
+    assert row["frames"] + row["disturbed"] == 16 and row["disturbed"] == 6
     pattern.clear()
     (row,) = contest(case, [rivals.BruteForce("filtered", case, 50)], Effort(4, 0.0), static=False)
     assert row["frames"] == row["disturbed"] >= 1 and row["dynamic ms"] > 0.0
@@ -203,7 +204,7 @@ def test_nobody_always_follows_the_same() -> None:
     names = list("abcdef")
     effort = Effort(frames=6, seconds=60.0)
     timings = _rounds(case, [Quiet(name) for name in names], "dynamic", effort)  # type: ignore[arg-type]
-    assert all(len(timing.times) >= 1 for timing in timings.values())
+    assert all(len(timing.times) == 18 for timing in timings.values()), "short frames: three times as many as asked for"
     turns = [calls[first : first + 6] for first in range(0, 36, 6)]
     assert all(sorted(turn) == names for turn in turns)
     for name in names:
