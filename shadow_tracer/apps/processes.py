@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 
@@ -144,12 +144,14 @@ def _signals_held_back() -> Iterator[None]:
         return
     came: list[int] = []
     numbers = (signal.SIGINT, signal.SIGTERM)
-    previous = {number: signal.signal(number, lambda which, _: came.append(which)) for number in numbers}
     try:
-        yield
+        with ExitStack() as restored:  # all of them, even if one comes in between
+            for number in numbers:
+                restored.callback(signal.signal, number, signal.getsignal(number) or signal.SIG_DFL)
+            for number in numbers:
+                signal.signal(number, lambda which, _: came.append(which))
+            yield
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
         if came:
             signal.raise_signal(came[0])
 

@@ -39,7 +39,7 @@ class Balance:
         return cuts
 
     def learn(self, times: Sequence[float]) -> None:
-        """Tell how long each band of the image that was cut last has taken; they must all have pixels."""
+        """Tell how long each band of the image that was cut last has taken, 0 if it has no pixels."""
         self._times.append(list(times))
         if len(self._times) < (1 if self._moves < _QUICK else _FRAMES):
             return

@@ -43,11 +43,12 @@ def image_cuts(depth: np.ndarray, at: Sequence[float], room: int) -> tuple[list[
     step = max(1, min(depth.shape) // 64)
     seen = depth[::step, ::step]
     measured = np.cumsum([0.0, *((seen > 0) & np.isfinite(seen)).sum(axis=1) + 0.1 * seen.shape[1]])
-    rows = np.searchsorted(0.5 * (measured[1:] + measured[:-1]), measured[-1] * np.asarray(at)) * step
+    rows = np.searchsorted(0.5 * (measured[1:] + measured[:-1]), measured[-1] * np.asarray(at))
+    rows = np.clip(rows, 1, max(1, len(seen) - 1)) * step  # the first and the last share have some, if there are rows
     ends = [0]
     for number, row in enumerate(rows, start=1):
         # Neither this share nor those that follow may get more than they have room for.
-        end = max(min(int(row) * width, ends[-1] + room), size - (shares - number) * room, ends[-1])
+        end = min(max(min(int(row) * width, ends[-1] + room), size - (shares - number) * room, ends[-1]), size)
         ends.append(end)
     ends.append(size)
     above = np.interp([end / width / step for end in ends[1:-1]], np.arange(len(measured)), measured)

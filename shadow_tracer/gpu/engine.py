@@ -216,8 +216,8 @@ class Engine:
         caught_up = all(share.seen == before for share in working)
         traced = self._trace_all(working, lights, depth.dtype if new else None)
         self._learn(situation if caught_up and not self._cold else None, begin)
-        if new and not self._cold and len(working) == len(self._team) > 1:
-            self._balances[working[0].names].learn([share.busy for share in working])
+        if new and not self._cold and len(team) > 1:
+            self._balances[team[0].names].learn([share.busy for share in team])
         return traced
 
     def _cut(self, team: Sequence[Share], depth: np.ndarray) -> list[tuple[int, int]]:

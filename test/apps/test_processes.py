@@ -74,6 +74,35 @@ def test_a_second_interrupt_waits_until_all_children_have_ended(sleeper: str, mo
     assert not children.folder.exists()
 
 
+@pytest.mark.parametrize("after", [1, 3])
+def test_a_signal_while_handlers_change_leaves_them_as_they_were(after: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that comes when the other's handler has been changed, or put back, already."""
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    previous = [signal.signal(number, interrupt) for number in numbers]
+    original, calls = signal.signal, [0]
+
+    def changed(number: signal.Signals, handler: Any) -> Any:
+        found = original(number, handler)
+        calls[0] += 1
+        if calls[0] == after:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return found
+
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(processes.signal, "signal", changed)
+            with pytest.raises(KeyboardInterrupt), processes._signals_held_back():
+                pass
+        assert [signal.getsignal(number) for number in numbers] == [interrupt, interrupt]
+    finally:
+        for number, handler in zip(numbers, previous, strict=True):
+            signal.signal(number, handler)
+
+
 def test_a_child_does_not_outlive_a_parent_that_was_killed(sleeper: str, tmp_path: Path) -> None:
     """It has no time to end anybody."""
     program = (

@@ -101,6 +101,53 @@ def test_where_cuts_are_is_told(at: list[float]) -> None:
     assert np.allclose(edges, np.array(above) / (156 + 25.6), atol=1e-6)
 
 
+def test_bands_lie_in_the_image_one_after_the_other() -> None:
+    """Wherever cuts are wanted and measurements are, in images that rows are sampled of unevenly."""
+    rng, empty = np.random.default_rng(11), 0
+    for _ in range(3000):
+        height, width = (int(n) for n in rng.choice([1, 2, 3, 37, 64, 65, 100, 251, 480, 512], 2))
+        depth = np.zeros((height, width), np.float32)
+        first, last = sorted(rng.integers(0, height + 1, 2))
+        depth[first:last] = 2.0
+        shares = int(rng.integers(1, 9))
+        room = int(-(-depth.size // shares) * rng.choice([1.0, 1.25, 4.0, 9.0])) + 1
+        cuts, edges = image_cuts(depth, np.sort(rng.choice([0.0, 1.0, rng.random()], shares - 1)), room)
+        assert cuts[0][0] == 0 and cuts[-1][1] == depth.size and len(cuts) == shares == len(edges) + 1
+        assert all(one[1] == other[0] for one, other in zip(cuts[:-1], cuts[1:], strict=True))
+        assert all(0 <= end - begin <= room for begin, end in cuts)
+        assert all(0.0 <= one <= other <= 1.0 for one, other in zip([0.0, *edges], [*edges, 1.0], strict=True))
+        empty += any(begin == end for begin, end in cuts)
+    assert empty > 100
+
+
+@pytest.mark.parametrize("threads", [2, 16])
+def test_measurements_below_the_last_cut_there_can_be(threads: int) -> None:
+    """Seven rows are sampled as one, and 480 are not a multiple: a cut after the last of them is no cut."""
+    bounds = Bounds(max_triangles=4000, max_rays=2 * 480 * 640, max_lights=1)
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    depth = np.full((480, 640), np.nan, np.float32)
+    depth[473:] = 4.0
+    found = []
+    for count in (1, threads):
+        tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=bounds, threads=count)
+        tracer.scene.put("ball", *geometry.icosphere(2, 0.8, (0.0, 1.5, 2.5)))
+        for balance in tracer._engine._balances.values():
+            balance._wanted = np.sqrt(balance._wanted)
+        found.append([tracer.trace(depth, camera, [_LAMP]).state("lamp") for _ in range(2)])
+    assert np.array_equal(found[0], found[1]) and {0, 3} <= set(np.unique(found[0]))
+
+
+def test_a_band_without_pixels_gets_some_again() -> None:
+    """Eight bands of an image whose work is in its first rows, then of one whose work is everywhere."""
+    balance, depth = Balance(8), _depth()
+    for work in (np.r_[np.full(4, 1000.0), np.full(252, 0.01)], np.ones(256)):
+        for _ in range(160):
+            cuts = balance.cut(depth, depth.size)
+            balance.learn([work[first // 256 : end // 256].sum() for first, end in cuts])
+    times = [end - first for first, end in balance.cut(depth, depth.size)]
+    assert max(times) <= 1.2 * np.mean(times)
+
+
 @pytest.mark.parametrize("names", ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"])
 def test_moving_cuts_change_no_bit(names: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every frame is cut elsewhere, at one side of the image or the other."""
