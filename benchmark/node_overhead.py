@@ -180,17 +180,27 @@ def play(measurement: Measurement, frames: int, cells: int) -> dict[str, list[fl
     camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
     generator = np.random.default_rng(0)
     collected: dict[str, list[float]] = {}
+    latest: np.ndarray | None = None
+    late = 0
     for frame in range(frames + _WARM_UP):
         vertices, triangles = wavy_sheet(cells, 0.1 * frame)
         # Noise as of a camera: of the same image the node would use samples and rays again.
         depth = (2500 + generator.integers(-1, 2, (HEIGHT, WIDTH))).astype(np.uint16)
         depth[::37, ::41] = 0
         stages, mask = measurement.play(encode_mesh(vertices, triangles), depth, (frame + 1) * 33_000_000)
+        before, latest = latest, vertices
         if frame < _WARM_UP:
             continue
-        tracer.scene.put("mesh", vertices, triangles)
-        expected = tracer.trace(depth, camera, [PointLight("lamp", LAMP)], bias=BIAS).mask("lamp")
+
+        def right(positions: np.ndarray, mesh: np.ndarray = triangles, image: np.ndarray = depth) -> np.ndarray:
+            tracer.scene.put("mesh", positions, mesh)
+            return tracer.trace(image, camera, [PointLight("lamp", LAMP)], bias=BIAS).mask("lamp")
+
+        expected = right(vertices)
         if not np.array_equal(mask, expected):
+            if before is not None and np.array_equal(mask, right(before)):
+                late += 1  # the mesh came after its image, which reliable topics do not exclude: not the frame meant
+                continue
             wrong = int((mask != expected).sum())
             said = measurement.timing.status[0].message if measurement.timing else "nothing"
             raise SystemExit(
@@ -200,6 +210,10 @@ def play(measurement: Measurement, frames: int, cells: int) -> dict[str, list[fl
         overhead += stages["mesh"] + stages["trace.upload"] + stages["trace.download"]
         for name, value in (stages | {"OVERHEAD (decode, mesh, upload, download, masks, publish)": overhead}).items():
             collected.setdefault(name, []).append(value)
+    if late:
+        print(
+            f"{late} frames left out: their mesh came after their image, and their masks are right for the one before"
+        )
     return collected
 
 
