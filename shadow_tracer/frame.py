@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.gpu.packed_states import PackedStates
+from shadow_tracer.gpu.packed_states import PackedStates, as_bytes
 
 ByteImage = npt.NDArray[np.uint8]
 
@@ -60,8 +59,7 @@ class Frame:
     @property
     def _states(self) -> ByteImage:
         """(L, H, W)."""
-        states = self._found.bytes if isinstance(self._found, PackedStates) else self._found
-        return states.reshape(len(self.names), *self._shape)
+        return as_bytes(self._found).reshape(len(self.names), *self._shape)
 
     def state(self, name: str) -> ByteImage:
         """(H, W) uint8 image of :class:`State` values for the light ``name``."""
@@ -95,23 +93,29 @@ class Frame:
         """
         if not 0 <= unknown <= 255:
             raise ValueError(f"unknown: expected an integer from 0 to 255, got {unknown!r}")
-        lit, invalid = self._lit(name)
+        lit = self._lit(name)
         mask = np.negative(lit, out=lit)  # 1 becomes 255
         for soft in self._reached if name is None else self._reached.keys() & {name}:
             np.maximum(mask, self._penumbra(soft), out=mask)
         if unknown:
-            mask |= invalid().view(np.uint8) * np.uint8(unknown)  # 0 so far: several times faster than by index
+            mask |= self._invalid().view(np.uint8) * np.uint8(unknown)  # 0 so far: several times faster than by index
         return mask
 
-    def _lit(self, name: str | None) -> tuple[ByteImage, Callable[[], npt.NDArray[np.bool_]]]:
-        """(H, W) 1 where the light ``name`` reaches (None: any), else 0; and how to find out where depth is invalid."""
+    def _lit(self, name: str | None) -> ByteImage:
+        """(H, W) 1 where the light ``name`` reaches (None: any), else 0; the caller's own."""
         number, found = None if name is None else self._number(name), self._found
         if isinstance(found, PackedStates):
             lit = found.lit_by_any() if number is None else found.lit(number)
-            return lit.reshape(self._shape), lambda: found.invalid().reshape(self._shape)
-        # LIT is the least state, and a pixel without depth is INVALID for every light.
+            return lit.reshape(self._shape)
+        # LIT is the least state.
         state = self._states.min(axis=0) if number is None else self._states[number]
-        return (state == State.LIT).view(np.uint8), lambda: state == State.INVALID
+        return (state == State.LIT).view(np.uint8)
+
+    def _invalid(self) -> npt.NDArray[np.bool_]:
+        """(H, W) where depth is invalid: there the state is INVALID for every light."""
+        if isinstance(self._found, PackedStates):
+            return self._found.invalid().reshape(self._shape)
+        return self._states[0] == State.INVALID
 
     def _number(self, name: str) -> int:
         if name not in self.names:
@@ -125,7 +129,7 @@ class Frame:
             raise ValueError(f"bits: expected at most 16 lights, got {len(self.names)}")
         bits = np.zeros(self._shape, dtype=np.uint16)
         for index, name in enumerate(self.names):
-            reaches, _ = self._lit(name)
+            reaches = self._lit(name)
             if name in self._reached:
                 reaches |= self.state(name) == State.PENUMBRA
             bits |= reaches.astype(np.uint16) << np.uint16(index)

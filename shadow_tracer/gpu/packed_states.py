@@ -9,6 +9,11 @@ import numpy.typing as npt
 Bytes = npt.NDArray[np.uint8]
 
 
+def as_bytes(found: PackedStates | Bytes) -> Bytes:
+    """(L, N) states, a byte each, whichever way they came."""
+    return found.bytes if isinstance(found, PackedStates) else found
+
+
 def words_of(count: int) -> int:
     """Words of 32 bits that a plane of ``count`` samples takes."""
     return -(-count // 32)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.gpu import soft
-from shadow_tracer.gpu.packed_states import PackedStates
+from shadow_tracer.gpu.packed_states import PackedStates, as_bytes
 from shadow_tracer.gpu.share import Share
 from shadow_tracer.gpu.stages import Stages
 
@@ -28,7 +28,7 @@ class Traced:
     @property
     def states(self) -> npt.NDArray[np.uint8]:
         """A byte each."""
-        return self.found.bytes if isinstance(self.found, PackedStates) else self.found
+        return as_bytes(self.found)
 
 
 def gather_states(working: Sequence[Share], lights: int) -> npt.NDArray[np.uint8]:

@@ -141,7 +141,3 @@ class HostCopies:
         """The array as it was when last fetched; overwritten when that happens again."""
         found: npt.NDArray[Any] = self._mirrors.get(int(array.ptr or 0), array).numpy()
         return found
-
-    def nbytes(self) -> int:
-        """Bytes of the copies, on the host."""
-        return sum(int(mirror.capacity) for mirror in self._mirrors.values())
