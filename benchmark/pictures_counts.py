@@ -120,7 +120,7 @@ def _frame(picture: Picture, variant: str, light: procedural.Light, bias: float)
     tracer = ShadowTracer("light_grid", variant, "cpu", Bounds(max_triangles=triangles, max_rays=rays, max_lights=1))
     tracer.scene.put("scene", picture.vertices, picture.triangles)
     frame = tracer.trace(picture.depth, picture.camera, [light], bias)
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     return frame, engine._pipeline
 
 

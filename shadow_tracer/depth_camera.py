@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import os
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,9 @@ from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import BoundsError
 from shadow_tracer.scene.mesh import Scene
+
+if TYPE_CHECKING:
+    from shadow_tracer.gpu.light_grid.primary import PrimaryRays, Seen
 
 DepthAndTriangle = tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]
 
@@ -39,14 +43,17 @@ class DepthCamera:
     def __init__(self, device: str | None = None, bounds: Bounds | None = None) -> None:
         self._bounds = bounds or Bounds()
         try:
-            from shadow_tracer.gpu import devices
+            from shadow_tracer.gpu import devices, seats
             from shadow_tracer.gpu.light_grid.primary import PrimaryRays
         except ModuleNotFoundError as error:
             if error.name != "warp":
                 raise
             raise ImportError("shadow_tracer needs NVIDIA Warp to render: pip install 'warp-lang>=1.19'") from error
         self._device = devices.pick_device(device)
-        self._rays = PrimaryRays(self._device, self._bounds)
+        self._make = PrimaryRays
+        self._rays: PrimaryRays | None = None
+        self._seat = seats.Seat(self._device, records=False)
+        self._device_bytes = self._seat.run(self._found).nbytes()
         self.counters: dict[str, int] = {}
         """What the last image took: ``rays`` and ``triangles`` there were, ``degenerate`` triangles among them that
         cannot be seen, (tile, triangle) ``entries`` and the ``largest_tile`` of them, ``passes`` through the tiles,
@@ -66,7 +73,7 @@ class DepthCamera:
     @property
     def device_bytes(self) -> int:
         """Bytes reserved on the device."""
-        return self._rays.nbytes()
+        return self._device_bytes
 
     def render(self, scene: Scene, camera: Camera) -> DepthAndTriangle:
         """What ``camera`` sees of ``scene``. Of the scene, only what changed since the last call is uploaded.
@@ -91,15 +98,38 @@ class DepthCamera:
                 raise BoundsError(
                     f"bounds.{name}: expected at most {limit} {what} of a depth camera with this bound, got {count}"
                 )
-        seen = self._rays.render(scene, camera)
+        seen = self._seat.run(lambda: self._look(scene, camera))
         self.counters = seen.counters
         shape = (camera.height, camera.width)
         return seen.depth.reshape(shape), seen.triangle.reshape(shape)
 
+    def _look(self, scene: Scene, camera: Camera) -> Seen:
+        # Whatever ends an image half way, Ctrl-C for instance, its buffers are allocated again for the next one.
+        rays = self._found()
+        self._rays = None
+        seen = rays.render(scene, camera)
+        self._rays = rays
+        return seen
+
+    def _found(self) -> PrimaryRays:
+        if self._rays is None:
+            self._rays = self._make(self._device, self._bounds)
+        return self._rays
+
 
 _cameras: dict[str, DepthCamera] = {}
 _devices: dict[str | None, str] = {}  # what a name, or None, turned out to be
-_one_at_a_time = threading.Lock()
+_one_at_a_time = threading.RLock()
+
+
+def _after_fork() -> None:
+    """In a child process nobody would release what another thread of the parent held."""
+    global _one_at_a_time
+    _one_at_a_time = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def render_depth(scene: Scene, camera: Camera, device: str | None = None) -> DepthAndTriangle:

@@ -62,8 +62,8 @@ class Frame:
         return as_bytes(self._found).reshape(len(self.names), *self._shape)
 
     def state(self, name: str) -> ByteImage:
-        """(H, W) uint8 image of :class:`State` values for the light ``name``."""
-        return self._states[self._number(name)]
+        """(H, W) uint8 image of :class:`State` values for the light ``name``; the caller's own."""
+        return self._states[self._number(name)].copy()
 
     def visibility(self, name: str) -> npt.NDArray[np.float32]:
         """(H, W) float32 share of the light ``name`` that reaches each pixel, from 0 to 1: 1 or 0 for lights without

@@ -8,7 +8,7 @@ imported when a tracer is made, not before.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,13 @@ from shadow_tracer.gpu.pipelines import AUTO, available_pipelines, resolve
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray
+from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, unmasked_depth
 from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
 from shadow_tracer.scene.mesh import Scene
 
 _HARD = (PointLight, SpotLight, DirectionalLight)
 _LIGHTS = (*_HARD, SphereLight)
+Lights = tuple[Light, ...]
 _SECONDS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobody is named
 
 
@@ -59,7 +60,7 @@ class ShadowTracer:
         graphs: bool | None = None,
         threads: int | None = None,
     ) -> None:
-        self._names = resolve(pipeline, variant)
+        names = resolve(pipeline, variant)
         self._bounds = bounds or Bounds()
         try:
             from shadow_tracer.gpu import devices, engine, workers
@@ -71,7 +72,7 @@ class ShadowTracer:
             threads = workers.available_cores()
         elif isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or not 1 <= threads <= 64:
             raise ValueError(f"threads: expected an integer from 1 to 64, or None, got {threads!r}")
-        self._engine = engine.Engine(devices.pick_device(device), self._bounds, *self._names, graphs, int(threads))
+        self._engine = engine.Engine(devices.pick_device(device), self._bounds, *names, graphs, int(threads))
         self._last: tuple[tuple[Any, ...], Frame] | None = None  # what was traced last, and the answer
         self.front_face_culling = front_face_culling
         self.scene = Scene(self._bounds)
@@ -85,12 +86,12 @@ class ShadowTracer:
     @property
     def pipeline(self) -> str:
         """Name of the pipeline in use."""
-        return self._names[0]
+        return self._engine.names[0]
 
     @property
     def variant(self) -> str:
         """Name of the variant in use."""
-        return self._names[1]
+        return self._engine.names[1]
 
     @property
     def choice(self) -> str:
@@ -138,10 +139,9 @@ class ShadowTracer:
             ValueError: an unknown name; the message lists the known ones and nothing has changed.
         """
         names = resolve(pipeline, variant)
-        if names != self._names:
-            self._engine.select(*names)
-            self._names = names
+        if names != self._engine.names:
             self._last = None
+            self._engine.select(*names)
 
     def warm_up(self) -> float:
         """Compile or load every kernel by tracing a small scene of its own; returns the seconds it took."""
@@ -159,16 +159,16 @@ class ShadowTracer:
             self._engine.calibrate()
         return time.perf_counter() - begin
 
-    def _trace_triangle(self) -> None:
+    def _trace_triangle(self, second: bool = False) -> None:
         self._last = None
         scene = Scene(self._bounds)
         scene.put("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1)], [(0, 1, 2)])
         camera = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
         light = PointLight("lamp", (0.0, 0.0, 0.0))
         for depth in (np.full((1, 1), 2.0, np.float32), np.full((1, 1), 2000, np.uint16)):
-            self._engine.trace_depth(scene, depth, camera, [light], (0.0, 0.0))
+            self._engine.trace_depth(scene, depth, camera, [light], (0.0, 0.0), second)
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
-        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0)
+        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, second=second)
 
     def occluded(self, points: Any, light: Light, bias: float = 0.0) -> npt.NDArray[np.bool_]:
         """Whether each point is in the shadow of ``light``.
@@ -206,13 +206,13 @@ class ShadowTracer:
             )
         return hidden.reshape(positions.shape[:-1])
 
-    def states_at(self, points: Any, lights: Sequence[Light], bias: float = 0.0) -> npt.NDArray[np.uint8]:
+    def states_at(self, points: Any, lights: Iterable[Light], bias: float = 0.0) -> npt.NDArray[np.uint8]:
         """What is known about each point and light: what :meth:`trace` says of pixels.
 
         Args:
             points: (..., 3) positions in the world [m]; any leading shape, also none. Those with a coordinate that is
-                not finite, or beyond 1e50, are INVALID.
-            lights: at least one, with different names.
+                not finite, beyond 1e50 or masked, are INVALID.
+            lights: any iterable of at least one light, with different names.
             bias: distance from the point towards the light at which occluders begin to count [m].
 
         Returns:
@@ -223,25 +223,25 @@ class ShadowTracer:
             BoundsError: more lights than declared.
         """
         positions, flat = _positions(points)
-        names = self._check_lights(lights)
+        checked = self._check_lights(lights)
         constant = Bias(constant=bias).constant
         valid: npt.NDArray[np.bool_] = np.asarray((np.abs(flat) <= LARGEST).all(axis=1))
         flat = np.where(valid[:, None], flat, 0.0)
-        states = np.empty((len(names), len(flat)), dtype=np.uint8)
+        states = np.empty((len(checked), len(flat)), dtype=np.uint8)
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
-            traced = self._engine.trace_points(self.scene, flat[piece], list(lights), constant, valid[piece])
+            traced = self._engine.trace_points(self.scene, flat[piece], checked, constant, valid[piece])
             states[:, piece] = traced.states
-        return states.reshape(len(names), *positions.shape[:-1])
+        return states.reshape(len(checked), *positions.shape[:-1])
 
-    def trace(self, depth: Any, camera: Camera, lights: Sequence[Light], bias: Bias | float | None = None) -> Frame:
+    def trace(self, depth: Any, camera: Camera, lights: Iterable[Light], bias: Bias | float | None = None) -> Frame:
         """Which pixels does each light reach?
 
         Args:
             depth: (H, W) depth along the optical axis: float32 metres (zero, negative and non-finite values are no
-                measurement) or uint16 millimetres (0 is no measurement).
+                measurement) or uint16 millimetres (0 is no measurement); masked pixels of a masked array are none.
             camera: intrinsics and pose; its size must be that of ``depth``.
-            lights: at least one, with different names.
+            lights: any iterable of at least one light, with different names.
             bias: where rays start; a number is a constant in metres, None is ``Bias()``, a centimetre.
 
         Returns:
@@ -251,14 +251,13 @@ class ShadowTracer:
             ValueError: an argument is malformed; the message names it.
             BoundsError: the image or the number of lights exceeds the declared bounds.
         """
-        image, names, checked = self._check_frame(depth, camera, lights, bias)
-        return self._trace_anew(image, camera, lights, names, checked)
+        return self._trace_anew(*self._check_frame(depth, camera, lights, bias))
 
     def verify(
         self,
         depth: Any,
         camera: Camera,
-        lights: Sequence[Light],
+        lights: Iterable[Light],
         bias: Bias | float | None = None,
         against: str | None = None,
     ) -> int:
@@ -289,15 +288,13 @@ class ShadowTracer:
             ValueError: an argument is malformed; the message names it.
             BoundsError: the image or the number of lights exceeds the declared bounds.
         """
-        image, names, checked = self._check_frame(depth, camera, lights, bias)
+        what = self._check_frame(depth, camera, lights, bias)
         self._employ(against)
-        key = self._key(image, camera, lights, checked)
-        if self._last is not None and self._last[0] == key and self._engine.holds(image):
+        if self._last is not None and self._last[0] == self._key(*what) and self._engine.holds(what[0]):
             answer = self._last[1]
         else:
-            answer = self._trace_anew(image, camera, lights, names, checked)
-        with self._engine.second_opinion():
-            return answer.differing(self._trace(image, camera, lights, names, checked))
+            answer = self._trace_anew(*what)
+        return answer.differing(self._trace(*what, second=True))
 
     def prepare_verify(self, against: str | None = None) -> float:
         """Allocate the buffers of :meth:`verify`'s second pipeline and compile or load its kernels, so that no frame
@@ -308,8 +305,7 @@ class ShadowTracer:
         """
         begin = time.perf_counter()
         self._employ(against)
-        with self._engine.second_opinion():
-            self._trace_triangle()
+        self._trace_triangle(second=True)
         return time.perf_counter() - begin
 
     def release_verify(self) -> None:
@@ -324,35 +320,36 @@ class ShadowTracer:
             raise ValueError(f"against: expected one of {', '.join(others)}, got {against!r}")
         self._engine.employ_second(*resolve(against, None))
 
-    def _key(self, image: npt.NDArray[Any], camera: Camera, lights: Sequence[Light], bias: Bias) -> tuple[Any, ...]:
+    def _key(self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> tuple[Any, ...]:
         # Cameras and lights are compared by identity: they are frozen, and those of a node are the same for both calls.
-        what = (id(camera), camera), tuple(lights), bias, image.dtype
+        what = (id(camera), camera), lights, bias, image.dtype
         return *what, self.scene.revision, self.front_face_culling
 
-    def _trace_anew(
-        self, image: npt.NDArray[Any], camera: Camera, lights: Sequence[Light], names: tuple[str, ...], bias: Bias
-    ) -> Frame:
+    def _trace_anew(self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> Frame:
         """A frame by the tracer's own pipeline: from now on the last one, or there is none if this raises."""
         self._last = None
-        frame = self._trace(image, camera, lights, names, bias)
+        frame = self._trace(image, camera, lights, bias)
         self._last = self._key(image, camera, lights, bias), frame
         return frame
 
     def _trace(
-        self, image: npt.NDArray[Any], camera: Camera, lights: Sequence[Light], names: tuple[str, ...], bias: Bias
+        self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias, second: bool = False
     ) -> Frame:
-        result = self._engine.trace_depth(self.scene, image, camera, list(lights), (bias.constant, bias.quadratic))
+        """A frame by the tracer's own pipeline, or by the second one."""
+        start = bias.constant, bias.quadratic
+        result = self._engine.trace_depth(self.scene, image, camera, lights, start, second)
         reached = {
             light.name: (result.reached[number].reshape(image.shape), light.samples)
             for number, light in enumerate(lights)
             if isinstance(light, SphereLight)
         }
+        names = tuple(light.name for light in lights)
         return Frame(names, image.shape, result.found, result.stages, result.counters, reached)
 
     def _check_frame(
-        self, depth: Any, camera: Camera, lights: Sequence[Light], bias: Bias | float | None
-    ) -> tuple[npt.NDArray[Any], tuple[str, ...], Bias]:
-        image = np.asarray(depth)
+        self, depth: Any, camera: Camera, lights: Iterable[Light], bias: Bias | float | None
+    ) -> tuple[npt.NDArray[Any], Camera, Lights, Bias]:
+        image = unmasked_depth(depth)
         if image.ndim != 2:
             raise ValueError(f"depth: expected shape (H, W), got {image.shape}")
         if image.dtype not in (np.float32, np.uint16):
@@ -368,26 +365,29 @@ class ShadowTracer:
                 f"bounds.max_rays: the image has {camera.width} x {camera.height} = {image.size} pixels, "
                 f"but the bound is {self._bounds.max_rays}"
             )
-        names = self._check_lights(lights)
+        checked = self._check_lights(lights)
         if bias is None:
             bias = Bias()
         elif not isinstance(bias, Bias):
             bias = Bias(constant=bias)
-        return np.ascontiguousarray(image), names, bias
+        return np.ascontiguousarray(image), camera, checked, bias
 
-    def _check_lights(self, lights: Sequence[Light]) -> tuple[str, ...]:
+    def _check_lights(self, lights: Iterable[Light]) -> Lights:
         if isinstance(lights, _LIGHTS):
-            raise ValueError("lights: expected a sequence of lights, got a single light; write [light]")
-        for index, light in enumerate(lights):
+            raise ValueError("lights: expected an iterable of lights, got a single light; write [light]")
+        if not isinstance(lights, Iterable):
+            raise ValueError(f"lights: expected an iterable of lights, got {type(lights).__name__}")
+        checked = tuple(lights)  # read once: it may be a generator
+        for index, light in enumerate(checked):
             _check_light(light, f"lights[{index}]")
-        names = tuple(light.name for light in lights)
+        names = [light.name for light in checked]
         if not names:
             raise ValueError("lights: expected at least one light, got none")
         if len(set(names)) != len(names):
-            raise ValueError(f"lights: expected different names, got {list(names)}")
+            raise ValueError(f"lights: expected different names, got {names}")
         if len(names) > self._bounds.max_lights:
             raise BoundsError(f"bounds.max_lights: got {len(names)} lights, but the bound is {self._bounds.max_lights}")
-        return names
+        return checked
 
 
 def _check_light(light: Any, field: str) -> None:
@@ -398,7 +398,11 @@ def _check_light(light: Any, field: str) -> None:
 
 def _positions(points: Any) -> tuple[npt.NDArray[Any], FloatArray]:
     """``points`` as an array (..., 3), and as float64 (N, 3)."""
-    positions = np.asarray(points)
+    try:
+        masked = isinstance(points, np.ma.MaskedArray)
+        positions = np.asarray(points.astype(np.float64).filled(np.nan) if masked else points)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"points: expected real numbers of shape (..., 3), got {type(points).__name__}") from error
     if positions.ndim == 0 or positions.shape[-1] != 3 or positions.dtype.kind not in "fiu":
         raise ValueError(
             f"points: expected real numbers of shape (..., 3), got shape {positions.shape} of {positions.dtype}"

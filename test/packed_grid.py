@@ -133,7 +133,7 @@ class Packing:
         lights: tuple[Light, ...] = (OUTSIDE,),
     ) -> Packed:
         """(lights, N, 4) rays in light space; (lights, N) kind of participant (all in tiles) and states (all lit)."""
-        engine: Any = self._tracer._engine
+        engine: Any = self._tracer._engine.inside
         frame, pipeline = engine._frame, engine._pipeline
         rays = np.ascontiguousarray(rays, np.float32).reshape(len(lights), -1, 4)
         count, everything = rays.shape[1], rays.shape[0] * rays.shape[1]

@@ -214,7 +214,7 @@ def test_states_at_knows_penumbrae(tracer: Any) -> None:
 def test_occluded_says_what_to_use_instead(reference: Any) -> None:
     with pytest.raises(ValueError, match="^light: expected.*got SphereLight; states_at"):
         reference.occluded((0.0, 0.0, 0.0), _LAMP)
-    with pytest.raises(ValueError, match="^lights: expected a sequence"):
+    with pytest.raises(ValueError, match="^lights: expected an iterable"):
         reference.trace(_depth(), _CAMERA, _LAMP)
 
 

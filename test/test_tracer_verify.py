@@ -21,7 +21,7 @@ from shadow_tracer import (
     SpotLight,
     State,
 )
-from shadow_tracer.gpu import engine
+from shadow_tracer.gpu import frame_tracer
 
 _BOUNDS = Bounds(max_triangles=3000, max_rays=2000, max_lights=4, queue_capacity=4000, grid_entries=20_000)
 _CAMERA = Camera(40, 30, 35.0, 36.0, 19.25, 14.75, geometry.look_at((-8.0, 0.3, 2.0), (0.0, 0.0, 1.0), (0, 0, 1)))
@@ -63,13 +63,13 @@ class _Traces:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.names: list[str] = []
-        original = engine.Engine.trace_depth
+        original = frame_tracer.FrameTracer.trace_depth
 
         def counted(this: Any, *arguments: Any) -> Any:
             self.names.append(type(this._pipeline).__name__)
             return original(this, *arguments)
 
-        monkeypatch.setattr(engine.Engine, "trace_depth", counted)
+        monkeypatch.setattr(frame_tracer.FrameTracer, "trace_depth", counted)
 
 
 @pytest.mark.parametrize("names,against", _PAIRS)
@@ -113,11 +113,12 @@ def test_a_changed_answer_is_counted(any_device: str) -> None:
     """Every wrong (pixel, light) pair counts once, whatever is wrong about it."""
     tracer = _tracer("light_grid", any_device)
     frame = tracer.trace(_depth(), _CAMERA, _LIGHTS)
-    frame.state("sun")[3, 4:9] = 7
+    states: Any = frame._found if isinstance(frame._found, np.ndarray) else frame._found.bytes
+    held = states.reshape(len(_LIGHTS), *_depth().shape)
+    held[2, 3, 4:9] = 7
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 5
-    state = frame.state("lamp")
-    places = np.argwhere(state == State.SHADOWED)[:11]
-    state[tuple(places.T)] = State.LIT
+    places = np.argwhere(held[0] == State.SHADOWED)[:11]
+    held[0][tuple(places.T)] = State.LIT
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 16
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
@@ -133,7 +134,7 @@ def test_a_blind_pipeline_is_found_out(any_device: str, names: str, wrong: str) 
     )
     assert shadows > 100
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
-    engine_: Any = tracer._engine
+    engine_: Any = tracer._engine.inside
     pipeline = engine_._pipeline if wrong == "first" else engine_._second.pipeline
     pipeline.trace = lambda work: None
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
@@ -144,7 +145,7 @@ def test_wrong_records_of_the_first_are_not_inherited(any_device: str) -> None:
     """The second pipeline makes triangle records of its own: damaged ones of the first show."""
     tracer = _tracer("light_grid", any_device)
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])
-    records: Any = tracer._engine._frame.records  # type: ignore[attr-defined]
+    records: Any = tracer._engine.inside._frame.records  # type: ignore[attr-defined]
     # Within each record: not all triangles have one, and what lies between is whatever lay there.
     records.assign(np.ascontiguousarray(np.roll(records.numpy(), 1, axis=1)))  # planes in the place of others
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])  # nothing has changed: by the records that are there
@@ -238,14 +239,14 @@ def test_points_in_between_change_neither_the_image_nor_the_answer(
     other = depth.copy()
     other[60:] = _wide_depth(171)[60:]
     traces = _Traces(monkeypatch)
-    engine_: Any = tracer._engine
+    engine_: Any = tracer._engine.inside
     for image, expected in ((depth, 1), (depth, 1), (other, 2)):
         if names == "auto":
-            engine_.chooser.forced = ("light_grid", "packed")
+            engine_._chooser.forced = ("light_grid", "packed")
         if image is other or not traces.names:
             tracer.trace(depth, _WIDE, _LIGHTS)
         if names == "auto":
-            engine_.chooser.forced = ("brute_force", "filtered")
+            engine_._chooser.forced = ("brute_force", "filtered")
         tracer.occluded([[0.0, 0.0, 1.0]], _LIGHTS[0])
         traces.names.clear()
         assert tracer.verify(image, _WIDE, _LIGHTS) == 0
@@ -269,7 +270,7 @@ def test_an_answer_is_forgotten_when_the_next_frame_fails(any_device: str, monke
     tracer.prepare_verify()
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     with monkeypatch.context() as patch:
-        patch.setattr(engine.Engine, "_launch", lambda *_: 1 // 0)
+        patch.setattr(frame_tracer.FrameTracer, "_launch", lambda *_: 1 // 0)
         with pytest.raises(ZeroDivisionError):
             tracer.trace(_depth(6), _CAMERA, _LIGHTS)
     traces = _Traces(monkeypatch)
@@ -303,14 +304,14 @@ def test_buffers_of_the_second_pipeline(any_device: str) -> None:
     plain = tracer.device_bytes
     assert tracer.prepare_verify() >= 0.0
     assert tracer.device_bytes > plain
-    second: Any = tracer._engine._second  # type: ignore[attr-defined]
+    second: Any = tracer._engine.inside._second  # type: ignore[attr-defined]
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
     both = tracer.device_bytes
     for seed in range(140, 150):
         tracer.scene.put("street", *_street())
         assert tracer.verify(_depth(seed), _CAMERA, _LIGHTS) == 0
-    assert tracer.device_bytes == both and tracer._engine._second is second  # type: ignore[attr-defined]
+    assert tracer.device_bytes == both and tracer._engine.inside._second is second  # type: ignore[attr-defined]
     tracer.release_verify()
     assert tracer.device_bytes == plain
     tracer.release_verify()

@@ -164,6 +164,6 @@ class Chooser:
             second = self._on_trial[frame.kind] = next(names for names in ranking if names != best)
         else:
             # A second frame: in the first it may have had to catch up, which teaches nothing.
-            second = self._on_trial.pop(frame.kind)
+            second = self._on_trial.pop(frame.kind, best)  # none if the first frame of the trial did not end
             self._trial[frame.kind] = due + _NEXT_TRIAL
         return second if second != best and costs[second] <= _NEAR * costs[best] else None

@@ -74,6 +74,10 @@ class TriangleRecords:
             self._made_for[place] = key
         return tuple(self._stale[frame.number] for frame in frames)
 
+    def expect(self, stale: Sequence[bool]) -> None:
+        """Announce once more what ``plan`` returned for lights 0, 1, ...: what was launched since has not been done."""
+        self._stale = dict(enumerate(stale))
+
     def prepare(self, frame: LightFrame) -> bool:
         """Make the records for the light of ``frame`` unless they are there; returns whether they were made."""
         if not self.begin(frame):

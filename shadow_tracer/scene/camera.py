@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shadow_tracer.scene.checks import FloatArray, finite, rigid_pose
+from shadow_tracer.scene.checks import FloatArray, finite, rigid_pose, unmasked_depth
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ class Camera:
         """Points in the world of a depth image in metres along z, shape (height, width, 3) [m].
 
         Computed in the same order of operations as on the device, so the values are the samples that are traced.
-        Invalid depths give meaningless points.
+        Invalid depths give meaningless points, NaN where ``depth`` is a masked array of floats and masked.
         """
-        z = np.asarray(depth, dtype=np.float64)
+        z = unmasked_depth(depth).astype(np.float64)
         if z.shape != (self.height, self.width):
             raise ValueError(f"depth: expected shape {(self.height, self.width)}, got {z.shape}")
         rays = self.pixel_rays()

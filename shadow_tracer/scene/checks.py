@@ -20,15 +20,42 @@ class BoundsError(ValueError):
     """An input is larger than a declared capacity. The message names the bound; nothing was changed."""
 
 
+def unmasked_depth(depth: Any) -> npt.NDArray[Any]:
+    """``depth`` as an array; masked pixels of a masked array hold no measurement: NaN, or 0 if it is of integers."""
+    if isinstance(depth, np.ma.MaskedArray):
+        return np.asarray(depth.filled(np.nan if depth.dtype.kind == "f" else 0))
+    try:
+        return np.asarray(depth)
+    except ValueError as error:
+        raise ValueError(f"depth: expected an image of shape (H, W), got {type(depth).__name__}") from error
+
+
+def refuse_mask(value: Any, field: str) -> None:
+    """Raise ValueError if ``value`` is a masked array in which something is masked: there is no value then, and what
+    lies under the mask must not be taken for one."""
+    count = int(np.ma.count_masked(value)) if isinstance(value, np.ma.MaskedArray) else 0
+    if count:
+        raise ValueError(f"{field}: expected an array without masked values, got {count}; fill or leave them out first")
+
+
+def _reals(value: Any, field: str, expected: str) -> FloatArray:
+    """``value`` as a float64 array. Texts, truth values and complex numbers are refused, not converted."""
+    refuse_mask(value, field)
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind in "fiuO":
+            return np.array(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{field}: expected {expected}, got {value!r}") from error
+    raise ValueError(f"{field}: expected {expected}, got {value!r}")
+
+
 def vector3(value: Any, field: str) -> FloatArray:
     """Return ``value`` as three finite float64 numbers, or raise ValueError naming ``field``."""
-    try:
-        vector = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{field}: expected three finite numbers, got {value!r}") from error
+    vector = _reals(value, field, "three finite numbers")
     if vector.shape != (3,) or not (np.abs(vector) <= LARGEST).all():
         raise ValueError(f"{field}: expected three finite numbers of at most {LARGEST:g}, got {value!r}")
-    return vector.copy()
+    return vector
 
 
 def direction3(value: Any, field: str) -> FloatArray:
@@ -40,12 +67,19 @@ def direction3(value: Any, field: str) -> FloatArray:
     return vector
 
 
+def real(value: Any) -> float:
+    """``value`` as a float, NaN if it is no real number: a text or a truth value is none, nor what is masked."""
+    if isinstance(value, (str, bytes, bool, np.bool_)) or value is np.ma.masked:
+        return float("nan")
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
+
+
 def finite(value: Any, field: str) -> float:
     """Return ``value`` as a finite float, or raise ValueError naming ``field``."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{field}: expected a finite number, got {value!r}") from error
+    number = real(value)
     if not np.isfinite(number):
         raise ValueError(f"{field}: expected a finite number, got {value!r}")
     return number
@@ -54,10 +88,7 @@ def finite(value: Any, field: str) -> float:
 def rigid_pose(value: Any, field: str) -> FloatArray:
     """Return ``value`` as a 4x4 rigid transform: finite, last row 0 0 0 1, rotation orthonormal within 1e-6,
     determinant +1."""
-    try:
-        pose = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{field}: expected a 4x4 rigid transform, got {type(value).__name__}") from error
+    pose = _reals(value, field, "a 4x4 rigid transform")
     if pose.shape != (4, 4):
         raise ValueError(f"{field}: expected a 4x4 rigid transform, got shape {pose.shape}")
     if not (np.abs(pose) <= LARGEST).all():
@@ -71,7 +102,7 @@ def rigid_pose(value: Any, field: str) -> FloatArray:
             f"{field}: expected a rotation without scale, shear or mirroring; R R^T differs from identity by "
             f"{deviation:.3g} and the determinant is {np.linalg.det(rotation):.6g}"
         )
-    return pose.copy()
+    return pose
 
 
 def name_of(value: Any, field: str) -> str:

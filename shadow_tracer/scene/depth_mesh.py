@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import LARGEST, FloatArray
+from shadow_tracer.scene.checks import LARGEST, FloatArray, unmasked_depth
 
 IntArray = npt.NDArray[np.int32]
 _BoolArray = npt.NDArray[np.bool_]
@@ -33,7 +33,7 @@ def depth_mesh(depth: Any, camera: Camera, step: int, max_jump: float) -> tuple[
 
     Args:
         depth: (H, W) float32 metres along the optical axis (zero, negative and non-finite values are no measurement)
-            or uint16 millimetres (0 is none).
+            or uint16 millimetres (0 is none); masked pixels are no measurement.
         camera: intrinsics; its pose does not matter.
         step: pixels from corner to corner, at least 1.
         max_jump: the largest relative difference of depth within a triangle, above 0 and at most 1e6.
@@ -59,7 +59,7 @@ def depth_mesh(depth: Any, camera: Camera, step: int, max_jump: float) -> tuple[
 
 
 def _checked(depth: Any, camera: Camera, step: int, max_jump: float) -> npt.NDArray[Any]:
-    image = np.asarray(depth)
+    image = unmasked_depth(depth)
     if image.dtype not in (np.float32, np.uint16):
         raise ValueError(f"depth: expected dtype float32 (metres) or uint16 (millimetres), got {image.dtype}")
     if image.shape != (camera.height, camera.width):

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from shadow_tracer.scene.checks import LARGEST, FloatArray, direction3, name_of, vector3
+from shadow_tracer.scene.checks import LARGEST, FloatArray, direction3, name_of, real, vector3
 
 # Three real numbers in any form going in, a read-only float64 array coming out.
 Vector = Any
@@ -26,10 +26,7 @@ def _unit(direction: FloatArray) -> FloatArray:
 
 
 def _range(value: Any) -> float:
-    try:
-        distance = float(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"range: expected a positive distance in metres or infinity, got {value!r}") from error
+    distance = real(value)
     if not distance > 0.0:
         raise ValueError(f"range: expected a positive distance in metres or infinity, got {value!r}")
     return distance
@@ -92,10 +89,7 @@ class SpotLight:
         name_of(self.name, "name")
         _freeze(self, "position", vector3(self.position, "position"))
         _freeze(self, "direction", direction3(self.direction, "direction"))
-        try:
-            angle = float(self.outer_angle)
-        except (TypeError, ValueError):
-            angle = math.nan
+        angle = real(self.outer_angle)
         if not 0.0 < angle <= math.pi:
             raise ValueError(
                 f"outer_angle: expected a half angle in radians with 0 < angle <= pi, got {self.outer_angle!r}"
@@ -170,10 +164,7 @@ class SphereLight:
     def __post_init__(self) -> None:
         name_of(self.name, "name")
         _freeze(self, "position", vector3(self.position, "position"))
-        try:
-            radius = float(self.radius)
-        except (TypeError, ValueError):
-            radius = math.nan
+        radius = real(self.radius)
         if not 0.0 < radius <= LARGEST or not (np.abs(self.position) + radius <= LARGEST).all():
             raise ValueError(f"radius: expected a positive length in metres, got {self.radius!r}")
         object.__setattr__(self, "radius", radius)

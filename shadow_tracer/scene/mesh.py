@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.scene.bounds import Bounds
-from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, name_of, rigid_pose
+from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, name_of, refuse_mask, rigid_pose
 
 IntArray = npt.NDArray[np.int32]
 
@@ -30,6 +31,7 @@ def _own(array: npt.NDArray[Any], dtype: Any) -> npt.NDArray[Any]:
 
 
 def _vertices(value: Any, nonfinite: str) -> FloatArray:
+    refuse_mask(value, "vertices")
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -56,6 +58,7 @@ def _vertices(value: Any, nonfinite: str) -> FloatArray:
 
 
 def _triangles(value: Any, vertex_count: int) -> IntArray:
+    refuse_mask(value, "triangles")
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -83,24 +86,49 @@ def _equal(a: IntArray, b: IntArray) -> bool:
     return np.array_equal(a[:64], b[:64]) and np.array_equal(a, b)
 
 
-class Mesh:
-    """A named triangle mesh with a rigid pose. Made and changed by :class:`Scene`; the arrays are read-only.
+@dataclass(frozen=True)
+class _Positions:
+    """What of a mesh can change while its triangles stay, in one object: a change is a single assignment, which has
+    happened or not whenever an exception comes."""
 
-    Attributes:
-        name: name within its scene.
-        vertices: (V, 3) float64 corner positions in the mesh's own frame [m].
-        triangles: (T, 3) int32 zero-based vertex indices.
-        pose: (4, 4) float64 rigid transform from the mesh's frame to the world.
-        topology_revision, vertices_revision, pose_revision: change when the triangles, the vertices, the pose change.
-    """
+    vertices: FloatArray
+    pose: FloatArray
+    vertices_revision: int
+    pose_revision: int
+
+
+class Mesh:
+    """A named triangle mesh with a rigid pose. Made and changed by :class:`Scene`; the arrays are read-only."""
 
     def __init__(self, name: str, vertices: FloatArray, triangles: IntArray, pose: FloatArray) -> None:
         self.name = name
-        self.vertices = vertices
+        """Name within its scene."""
         self.triangles = triangles
-        self.pose = pose
-        self.topology_revision = self.vertices_revision = self.pose_revision = next(_serial)
+        """(T, 3) int32 zero-based vertex indices."""
+        self.topology_revision = next(_serial)
+        """Changes when the triangles change."""
+        self._positions = _Positions(vertices, pose, self.topology_revision, self.topology_revision)
         self._degenerate: tuple[int, int] | None = None
+
+    @property
+    def vertices(self) -> FloatArray:
+        """(V, 3) float64 corner positions in the mesh's own frame [m]."""
+        return self._positions.vertices
+
+    @property
+    def pose(self) -> FloatArray:
+        """(4, 4) float64 rigid transform from the mesh's frame to the world."""
+        return self._positions.pose
+
+    @property
+    def vertices_revision(self) -> int:
+        """Changes when the vertices change."""
+        return self._positions.vertices_revision
+
+    @property
+    def pose_revision(self) -> int:
+        """Changes when the pose changes."""
+        return self._positions.pose_revision
 
     @property
     def degenerate_count(self) -> int:
@@ -131,8 +159,8 @@ class Scene:
     def __init__(self, bounds: Bounds | None = None) -> None:
         self.bounds = bounds or Bounds()
         self._meshes: dict[str, Mesh] = {}
-        self._triangle_count = self._vertex_count = 0
-        self._revision = next(_serial)
+        self._revision = next(_serial)  # always changed before the meshes: no change goes unnoticed
+        self._counts = (0, 0, 0)  # a revision, and what triangles and vertices there were
 
     @property
     def revision(self) -> int:
@@ -147,12 +175,12 @@ class Scene:
     @property
     def triangle_count(self) -> int:
         """Triangles of all meshes, degenerate ones included."""
-        return self._triangle_count
+        return self._counted()[1]
 
     @property
     def vertex_count(self) -> int:
         """Vertices of all meshes."""
-        return self._vertex_count
+        return self._counted()[2]
 
     def __contains__(self, name: object) -> bool:
         return name in self._meshes
@@ -191,19 +219,16 @@ class Scene:
         new_triangles = _triangles(triangles, len(new_vertices))
         new_pose = rigid_pose(np.eye(4) if pose is None else pose, "pose")
         new_pose.setflags(write=False)
-        self._check_capacity(name, len(new_vertices), len(new_triangles))
+        totals = self._check_capacity(name, len(new_vertices), len(new_triangles))
         old = self._meshes.get(name)
+        revision = self._revision = next(_serial)
         if old is not None and len(old.vertices) == len(new_vertices) and _equal(old.triangles, new_triangles):
-            old.vertices = new_vertices
-            old.vertices_revision = next(_serial)
-            if not np.array_equal(old.pose, new_pose):
-                old.pose = new_pose
-                old.pose_revision = next(_serial)
+            moved = not np.array_equal(old.pose, new_pose)
+            pose, pose_revision = (new_pose, revision) if moved else (old.pose, old.pose_revision)
+            old._positions = _Positions(new_vertices, pose, revision, pose_revision)
         else:
-            self._count(old, -1)
-            self._meshes[name] = mesh = Mesh(name, new_vertices, new_triangles, new_pose)
-            self._count(mesh, 1)
-        self._revision = next(_serial)
+            self._meshes[name] = Mesh(name, new_vertices, new_triangles, new_pose)
+        self._counts = (revision, *totals)
         return self._meshes[name]
 
     def move(self, name: str, pose: Any) -> None:
@@ -217,9 +242,7 @@ class Scene:
         if np.array_equal(mesh.pose, new_pose):
             return
         new_pose.setflags(write=False)
-        mesh.pose = new_pose
-        mesh.pose_revision = next(_serial)
-        self._revision = next(_serial)
+        self._position(mesh, pose=new_pose, pose_revision=next(_serial))
 
     def deform(self, name: str, vertices: Any, nonfinite: str = "refuse") -> None:
         """Give a mesh new vertex positions, (V, 3) [m], with the triangles it has.
@@ -235,33 +258,39 @@ class Scene:
                 f"vertices: expected {len(mesh.vertices)} as mesh {name!r} has, got {len(new_vertices)}; "
                 "use put() to replace it"
             )
-        mesh.vertices = new_vertices
-        mesh.vertices_revision = next(_serial)
-        self._revision = next(_serial)
+        self._position(mesh, vertices=new_vertices, vertices_revision=next(_serial))
 
     def remove(self, name: str) -> None:
         """Remove a mesh. Raises ValueError if there is none of that name."""
         mesh = self[name]
+        triangles, vertices = self.triangle_count - len(mesh.triangles), self.vertex_count - len(mesh.vertices)
+        revision = self._revision = next(_serial)
         del self._meshes[mesh.name]
-        self._count(mesh, -1)
-        self._revision = next(_serial)
+        self._counts = (revision, triangles, vertices)
 
     def clear(self) -> None:
         """Remove every mesh."""
         if self._meshes:
-            self._meshes.clear()
-            self._triangle_count = self._vertex_count = 0
             self._revision = next(_serial)
+            self._meshes = {}
 
-    def _count(self, mesh: Mesh | None, sign: int) -> None:
-        if mesh is not None:
-            self._triangle_count += sign * len(mesh.triangles)
-            self._vertex_count += sign * len(mesh.vertices)
+    def _position(self, mesh: Mesh, **changes: Any) -> None:
+        totals = self._counted()[1:]
+        revision = self._revision = next(_serial)
+        mesh._positions = replace(mesh._positions, **changes)
+        self._counts = (revision, *totals)
 
-    def _check_capacity(self, name: str, vertex_count: int, triangle_count: int) -> None:
+    def _counted(self) -> tuple[int, int, int]:
+        if self._counts[0] != self._revision:  # an exception came in the middle of a change
+            triangles = sum(len(mesh.triangles) for mesh in self)
+            self._counts = (self._revision, triangles, sum(len(mesh.vertices) for mesh in self))
+        return self._counts
+
+    def _check_capacity(self, name: str, vertex_count: int, triangle_count: int) -> tuple[int, int]:
+        """Triangles and vertices that the scene would have."""
         old = self._meshes.get(name)
-        triangles = self._triangle_count + triangle_count - (len(old.triangles) if old else 0)
-        vertices = self._vertex_count + vertex_count - (len(old.vertices) if old else 0)
+        triangles = self.triangle_count + triangle_count - (len(old.triangles) if old else 0)
+        vertices = self.vertex_count + vertex_count - (len(old.vertices) if old else 0)
         limit = self.bounds.max_triangles
         if triangles > limit:
             raise BoundsError(
@@ -273,3 +302,4 @@ class Scene:
                 f"bounds.max_triangles: mesh {name!r} has {vertex_count} vertices and the scene would have {vertices}, "
                 f"but at most 3 * {limit} fit"
             )
+        return triangles, vertices

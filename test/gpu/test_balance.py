@@ -131,7 +131,7 @@ def test_measurements_below_the_last_cut_there_can_be(threads: int) -> None:
     for count in (1, threads):
         tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=bounds, threads=count)
         tracer.scene.put("ball", *geometry.icosphere(2, 0.8, (0.0, 1.5, 2.5)))
-        for balance in tracer._engine._balances.values():
+        for balance in tracer._engine.inside._balances.values():
             balance._wanted = np.sqrt(balance._wanted)
         found.append([tracer.trace(depth, camera, [_LAMP]).state("lamp") for _ in range(2)])
     assert np.array_equal(found[0], found[1]) and {0, 3} <= set(np.unique(found[0]))
@@ -155,7 +155,7 @@ def test_moving_cuts_change_no_bit(names: str, monkeypatch: pytest.MonkeyPatch) 
     one = ShadowTracer(*names.split("/"), device="cpu", bounds=_BOUNDS, threads=1)
     rng, counts = np.random.default_rng(3), set()
     vertices, triangles = geometry.icosphere(3, 0.8, (0.0, 0.0, 2.5))
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     for balance in engine._balances.values():
         monkeypatch.setattr(balance, "learn", lambda times, it=balance: it.__setattr__("_wanted", rng.uniform(0, 1, 1)))
     for step in range(10):
@@ -172,7 +172,7 @@ def test_the_same_image_is_cut_as_before() -> None:
     """Else its rays would be made again. What a frame with kept rays takes teaches nothing."""
     tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=_BOUNDS, threads=2)
     tracer.scene.put("ball", *geometry.icosphere(3, 0.8, (0.0, 0.0, 2.5)))
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     (balance,) = engine._balances.values()
     for step in range(3):
         tracer.trace(_depth(step), _CAMERA, [_LAMP])
@@ -190,8 +190,8 @@ def test_the_same_image_is_cut_as_before() -> None:
 
 def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
     tracer = ShadowTracer("auto", device="cpu", bounds=_BOUNDS, threads=2)
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     assert set(engine._balances) == {names for names, team in engine._teams.items() if len(team) == 2}
     assert len({id(balance) for balance in engine._balances.values()}) == len(engine._balances) >= 2
     single = ShadowTracer("mesh_bvh", device="cpu", bounds=_BOUNDS, threads=2)
-    assert single._engine._balances == {}
+    assert single._engine.inside._balances == {}

@@ -159,7 +159,7 @@ def test_bits_do_not_depend_on_the_choice(threads: int) -> None:
     seen = views.procedural_view("robots", "corridor", 192, 1500)
     made = ShadowTracer("auto", device="cpu", bounds=_BOUNDS, threads=threads)
     reference = ShadowTracer("mesh_bvh", device="cpu", bounds=_BOUNDS)
-    engine: Any = made._engine
+    engine: Any = made._engine.inside
     rng = np.random.default_rng(8)
     few = seen.triangles[::12]
     for step in range(12):
@@ -167,24 +167,24 @@ def test_bits_do_not_depend_on_the_choice(threads: int) -> None:
         triangles = few if step % 4 < 3 else few[::-1]
         for tracer in (made, reference):
             tracer.scene.put("mesh", vertices, triangles)
-        engine.chooser.forced = CANDIDATES[rng.integers(3)]
-        assert np.array_equal(_states(made, seen), _states(reference, seen)), engine.chooser.chosen
-        assert "/".join(engine._team[0].names) == "/".join(engine.chooser.chosen)
+        engine._chooser.forced = CANDIDATES[rng.integers(3)]
+        assert np.array_equal(_states(made, seen), _states(reference, seen)), engine._chooser.chosen
+        assert "/".join(engine._team[0].names) == "/".join(engine._chooser.chosen)
 
 
 def test_it_is_warmed_up_calibrated_and_says_what_it_does() -> None:
     made = ShadowTracer("auto", device="cpu", bounds=replace(_BOUNDS, max_triangles=16384))
     assert (made.pipeline, made.variant) == ("auto", "measured") and made.choice
     assert made.warm_up() > 0.0
-    engine: Any = made._engine
-    assert set(engine.chooser._base) == set(CANDIDATES) and engine.chooser.forced is None
+    engine: Any = made._engine.inside
+    assert set(engine._chooser._base) == set(CANDIDATES) and engine._chooser.forced is None
     seen = views.procedural_view("robots", "corridor", 64, 300)
     made.scene.put("mesh", seen.vertices, seen.triangles)
     for _ in range(3):
         _states(made, seen)
     assert any(made.choice.startswith("/".join(names)) for names in CANDIDATES)
     made.select("light_grid")
-    assert made.choice == "" and engine.chooser is None
+    assert made.choice == "" and engine._chooser is None
     before = made.device_bytes
     made.select("auto")
     assert made.device_bytes > before, "the buffers of all candidates count"
@@ -194,8 +194,8 @@ def test_it_is_warmed_up_calibrated_and_says_what_it_does() -> None:
 def test_small_bounds_leave_the_law() -> None:
     made = ShadowTracer("auto", device="cpu", bounds=Bounds(max_triangles=10, max_rays=100))
     made.warm_up()
-    engine: Any = made._engine
-    assert engine.chooser._base == {} and engine.chooser.forced is None
+    engine: Any = made._engine.inside
+    assert engine._chooser._base == {} and engine._chooser.forced is None
 
 
 class _Lesson:
@@ -217,8 +217,8 @@ class _Lesson:
     def frame(self, names: Names, depth: np.ndarray | None = None) -> list[Names]:
         """Trace a frame by this candidate; who was told to have learned from it."""
         self._learned.clear()
-        engine: Any = self.tracer._engine
-        engine.chooser.forced = names
+        engine: Any = self.tracer._engine.inside
+        engine._chooser.forced = names
         image = self.seen.depth if depth is None else depth
         self.tracer.trace(image, self.seen.camera, list(self.seen.lights), bias=self.seen.bias)
         return list(self._learned)
@@ -250,9 +250,9 @@ def test_points_that_another_candidate_was_asked_about_are_a_frame_missed(monkey
     lesson = _Lesson(monkeypatch)
     for names in (MESH_BVH, LIGHT_GRID, MESH_BVH):
         lesson.frame(names)
-    engine: Any = lesson.tracer._engine
+    engine: Any = lesson.tracer._engine.inside
     lesson.tracer.scene.deform("mesh", lesson.seen.vertices + 0.001)
-    engine.chooser.forced = LIGHT_GRID
+    engine._chooser.forced = LIGHT_GRID
     lesson.tracer.occluded([[0.0, 0.0, 1.0]], lesson.seen.lights[0])
     lesson.tracer.scene.deform("mesh", lesson.seen.vertices + 0.002)
     assert lesson.frame(MESH_BVH) == []
@@ -278,7 +278,7 @@ def test_a_frame_that_is_recorded_teaches_nothing(monkeypatch: pytest.MonkeyPatc
     """To record the launches takes longer than to launch them, once."""
     lesson = _Lesson(monkeypatch, graphs=True)
     told = [lesson.frame(LIGHT_GRID) for _ in range(5)]
-    engine: Any = lesson.tracer._engine
+    engine: Any = lesson.tracer._engine.inside
     assert engine._graphs.recorded() == 1
     # Kernels are loaded; the launches are recorded; and replayed.
     assert told == [[], [], [LIGHT_GRID], [LIGHT_GRID], [LIGHT_GRID]]

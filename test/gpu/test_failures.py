@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, State
-from shadow_tracer.gpu import buffers, engine, mesh_bvh, scene_buffers
+from shadow_tracer.gpu import buffers, frame_tracer, mesh_bvh, scene_buffers
 from shadow_tracer.gpu.chooser import CANDIDATES
 from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.share import Share
@@ -107,7 +107,7 @@ def test_a_selection_that_fails_changes_nothing(names: str, wanted: str, monkeyp
     before = tracer.device_bytes
     chooser = tracer._engine.chooser
     with monkeypatch.context() as patch:
-        _fail_once(patch, engine, "Share", 2 if wanted == "auto" else 0)  # in the middle of the candidates
+        _fail_once(patch, frame_tracer, "Share", 2 if wanted == "auto" else 0)  # in the middle of the candidates
         with pytest.raises(_Out):
             tracer.select(wanted)
     assert tracer.pipeline == names and tracer._engine.chooser is chooser and tracer.device_bytes == before
@@ -120,7 +120,7 @@ def test_a_selection_that_fails_keeps_the_second_pipeline(monkeypatch: pytest.Mo
     tracer = _tracer("light_grid")
     tracer.prepare_verify("mesh_bvh")
     with monkeypatch.context() as patch:
-        _fail_once(patch, engine, "Share")
+        _fail_once(patch, frame_tracer, "Share")
         with pytest.raises(_Out):
             tracer.select("mesh_bvh")
     assert tracer._engine.second == "mesh_bvh" and tracer.verify(_DEPTH, _CAMERA, _LIGHTS) == 0
@@ -142,7 +142,7 @@ def test_a_warm_up_that_fails_forces_no_choice(candidate: int, monkeypatch: pyte
 def test_what_a_pipeline_shares_is_freed_with_its_last_user() -> None:
     """Vertices seen from a light belong to all who need them, the second pipeline among them."""
     tracer = _tracer("mesh_bvh")
-    shared = tracer._engine._context.shared
+    shared = tracer._engine.inside._context.shared
     plain = tracer.device_bytes
     assert shared.find(Corners) is None and shared.nbytes() == 0
     tracer.prepare_verify("cone_hierarchy")

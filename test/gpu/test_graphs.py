@@ -67,7 +67,7 @@ def test_replayed_frames_are_equal(way: tuple[str, str], any_device: str) -> Non
     got = _frames(recording)
     assert all(np.array_equal(a, b) for a, b in zip(expected, got, strict=True))
     assert any((state == 1).any() for state in expected) and any((state == 0).any() for state in expected)
-    engine: Any = recording._engine
+    engine: Any = recording._engine.inside
     assert engine._graphs.recorded() >= 2
 
 
@@ -89,7 +89,7 @@ def test_the_host_reads_only_what_it_has_fetched(
     """A frame of which everything is new, the way a GPU goes: to read an array of the device is to wait for it."""
     pipeline, name = variant.split("/")
     tracer = ShadowTracer(pipeline, name, device=any_device, bounds=_BOUNDS, graphs=True)
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     frame = engine._frame
     frame.upload._staged = True
     rng, (vertices, triangles) = np.random.default_rng(3), geometry.icosphere(2, 1.0, (0.0, 0.0, 3.0))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
-from shadow_tracer.gpu import cuts, engine, projection, share
+from shadow_tracer.gpu import cuts, frame_tracer, projection, share
 
 _WIDTH, _HEIGHT = 48, 36
 _COUNT = _WIDTH * _HEIGHT
@@ -80,7 +80,7 @@ class _Pair:
         assert np.array_equal(found, self.oracle.occluded(points, light, bias=bias))
 
     def _forget(self) -> None:
-        made: Any = self.oracle._engine
+        made: Any = self.oracle._engine.inside
         made._samples.forget()
 
 
@@ -178,7 +178,7 @@ def test_whatever_changes_between_frames(
 ) -> None:
     """A long random walk: what is kept never answers for something else."""
     monkeypatch.setattr(cuts, "LEAST", 64)
-    monkeypatch.setattr(engine, "LEAST", 64)
+    monkeypatch.setattr(frame_tracer, "LEAST", 64)
     rng = np.random.default_rng([493, threads, len(more)])
     pair = _Pair(pipeline, _bounds(**more), threads)
     assert pair.tracer.threads == threads

@@ -42,7 +42,7 @@ def states(made: ShadowTracer, seen: views.View, depth: np.ndarray | None = None
 
 
 def shares(made: ShadowTracer) -> list[share.Share]:
-    engine: Any = made._engine
+    engine: Any = made._engine.inside
     team: list[share.Share] = engine._team
     return team
 
@@ -225,9 +225,10 @@ def test_workers() -> None:
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_what_a_job_raises_comes_out_after_all_have_ended(which: int) -> None:
-    workers, ended = Workers(3), []
+    workers, ended, begun = Workers(3), [], threading.Barrier(3)
 
     def job(number: int) -> None:
+        begun.wait()
         ended.append(number)
         if number == which:
             raise RuntimeError(f"job {number}")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Bounds, Camera, PointLight
-from shadow_tracer.gpu import engine
+from shadow_tracer.gpu import frame_tracer
 from shadow_tracer.ros import tracer_host
 from shadow_tracer.ros.tracer_host import Outcome, TracerHost
 
@@ -50,7 +50,7 @@ def test_a_selection_that_fails_leaves_what_was_there(monkeypatch: pytest.Monkey
         raise MemoryError("no room for a second pipeline")
 
     with monkeypatch.context() as patch:
-        patch.setattr(engine, "Share", full)
+        patch.setattr(frame_tracer, "Share", full)
         outcome = here.do(here.host.select, _settings("brute_force"))
     assert outcome.error == "no room for a second pipeline"
     assert here.host.tracer is tracer and tracer.pipeline == "light_grid"

@@ -23,6 +23,8 @@ _WIDE = (
     + r"""
     auto largest = [](Sixteen x, Sixteen y) -> Sixteen { return x > y ? x : y; };
     wp::int64 nodes = 0, tests = 0, accepted = 0;
+    // Of the leaves there is room for, those that hold rays of this pass: what lies behind is of another frame.
+    const int leaves = (tree.counts.data[0] + 15) / 16;
     Planes it;
     Seen seen;
     auto boxes16 = [&](const float* b, int& covered) -> int {
@@ -130,7 +132,7 @@ _WIDE = (
                 if (whole[level] >> lane & 1) {
                     const int width = 1 << (4 * level);
                     ++accepted;
-                    for (int leaf = node * width; leaf < (node + 1) * width && leaf < tree.offset.data[1]; ++leaf)
+                    for (int leaf = node * width; leaf < (node + 1) * width && leaf < leaves; ++leaf)
                         accept_leaf(leaf);
                 } else if (level == 0) {
                     test_leaf(node, triangle);

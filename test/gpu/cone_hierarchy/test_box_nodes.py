@@ -83,7 +83,7 @@ def _outcome(device: str, name: str, seed: int) -> Outcome:
     bounds = Bounds(len(triangles), len(points), 1, 64, 1)
     tracer = ShadowTracer("cone_hierarchy", "linear_scalar", device=device, bounds=bounds)
     tracer.scene.put("mesh", corners.reshape(-1, 3), triangles)
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     pipeline = engine._pipeline
     taken: list[Any] = []
     # The tree as it is before any triangle went through it: descents close nodes that are done.

@@ -81,7 +81,7 @@ def test_specks_on_ways_from_all_around(seed: int) -> None:
 
 def _counts(tracer: ShadowTracer) -> tuple[int, int]:
     """Clusters that the share looked at, and blocks of records that were made."""
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     way = engine._pipeline._way
     return int(way._ends.numpy()[0]), int((way._candidates._made.numpy() == 2).sum())
 
@@ -120,7 +120,7 @@ def test_only_what_may_concern_the_rays_is_made() -> None:
     assert 512 // 16 <= clusters < 80, "of 16 triangles each, of 480"
     assert 512 // 128 <= blocks < 30
     # The same light and scene, other samples: more is made, nothing again.
-    records = tracer._engine._frame.records  # type: ignore[attr-defined]
+    records = tracer._engine.inside._frame.records  # type: ignore[attr-defined]
     records.numpy()[0, 0] = 7.0
     check(wide, light)
     assert _counts(tracer)[1] > blocks and (records.numpy()[0, 0] == 7.0).all()

@@ -179,7 +179,7 @@ def _in_bundles(rng: np.random.Generator, name: str) -> list[tuple[np.ndarray, n
 
 def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
     """The answers for all boxes, by level: (B, T); and how many of the rays in each a triangle hides, and the rays."""
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     pipeline = engine._pipeline
     taken: list[Any] = []
     pipeline._way.trace = lambda *inputs: taken.append(inputs)

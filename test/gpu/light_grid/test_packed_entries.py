@@ -86,7 +86,7 @@ def test_large_triangles(any_device: str, variant: str) -> None:
     tracer = _tracer(any_device, variant, max_rays=41_600)
     for _ in range(2):
         np.testing.assert_array_equal(_states(tracer, view)[0], expected)
-    tiles: Any = tracer._engine._pipeline._buffers.tiles
+    tiles: Any = tracer._engine.inside._pipeline._buffers.tiles
     assert tiles.groups.numpy()[6 + 4, 4] > 16
 
 
@@ -95,7 +95,7 @@ def test_large_triangles_become_items(monkeypatch: Any, any_device: str, places:
     view, expected = _huge()
     monkeypatch.setattr(packed, "_MOST_ITEMS", places)
     tracer = _tracer(any_device, "packed_scalar", max_rays=41_600)
-    bins: Any = tracer._engine._pipeline._way._bins
+    bins: Any = tracer._engine.inside._pipeline._way._bins
     assert bins.items.shape[0] == min(places, 64 * 4_000)
     for _ in range(2):
         states, counters = _states(tracer, view)
@@ -183,7 +183,7 @@ def test_parts(any_device: str, together: int, graphs: bool) -> None:
             np.testing.assert_array_equal(states, expected)
             assert counters["entries"] == total
             assert counters["overflow_passes"] == sum(count for count in parts if count > 1)
-        engine: Any = tracer._engine
+        engine: Any = tracer._engine.inside
         assert engine._graphs.recorded() == (1 if graphs else 0)
 
 
@@ -278,7 +278,7 @@ def test_lights_that_stay_keep_their_triangles(
 
     monkeypatch.setattr(records.TriangleRecords, "begin", counted)
     tracer = _tracer(any_device, variant, max_triangles=80 * room)
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     anchors = []
     for step in range(2):
         pose = geometry.pose_of(np.eye(3), (0.05 * step, -0.03 * step, 0.02 * step))

@@ -38,13 +38,13 @@ def _tracer(device: str, graphs: bool | None = False, bounds: dict[str, int] | N
         "grid_entries": 300_000,
     }
     tracer = ShadowTracer("light_grid", "spherical", device, Bounds(**{**limits, **(bounds or {})}), graphs=graphs)
-    engine: Any = tracer._engine
+    engine: Any = tracer._engine.inside
     engine._team[0].pipeline = spherical.SphericalGrid(engine._context, **settings)
     return tracer
 
 
 def _grid_of(tracer: Any) -> spherical.SphericalGrid:
-    grid: spherical.SphericalGrid = tracer._engine._pipeline
+    grid: spherical.SphericalGrid = tracer._engine.inside._pipeline
     return grid
 
 
@@ -78,7 +78,7 @@ def cells_of_rays(
 
 def _exactly_hidden(tracer: Any, count: int) -> np.ndarray:
     """(samples, triangles) bool: every exact decision there is."""
-    engine = tracer._engine
+    engine = tracer._engine.inside
     frame, scene = engine._frame, engine._scene
     hidden = wp.zeros((count, scene.triangle_count), dtype=wp.uint8, device=engine.device)
     inputs = [frame.light_frame_of[0], frame.samples, scene.vertices, scene.triangles, hidden]
@@ -112,7 +112,7 @@ def _covered(tracer: Any, triangles: int, rays: int) -> tuple[np.ndarray, np.nda
 
 def _axes(tracer: Any, light: Any) -> np.ndarray:
     """(3, 3): the azimuth starts at the third row and turns to the first; the second points to a pole."""
-    frame = light_frame.make_light_frame(light, tracer._engine._anchor)
+    frame = light_frame.make_light_frame(light, tracer._engine.inside._anchor)
     return np.stack([np.array(frame.r), np.array(frame.s), -np.array(frame.f)])
 
 
@@ -300,7 +300,7 @@ def test_work_items(any_device: str, name: str, threshold: int) -> None:
     assert all(len(np.unique(keys[a:b])) == 1 for a, b in zip(bounds, bounds[1:], strict=False))
     in_tile = np.bincount(keys[:2000])
     assert items == (-(-in_tile // threshold)).sum() and tiles == (in_tile > 0).sum()
-    assert tracer._engine._frame.read_counters()["splits"] == items - tiles
+    assert tracer._engine.inside._frame.read_counters()["splits"] == items - tiles
     assert 0.05 < hidden.mean() < 0.95
 
 
@@ -318,7 +318,7 @@ def test_depth_cells_save_tests(any_device: str) -> None:
         tracer = _tracer(any_device, cells=cells, rays_per_tile=64)
         tracer.scene.put("room", vertices, triangles)
         answers.append(tracer.occluded(points, light))
-        counters = tracer._engine._frame.read_counters()
+        counters = tracer._engine.inside._frame.read_counters()
         tests.append(counters["leaf_tests"] / counters["rays"])
     assert all(np.array_equal(answer, answers[0]) for answer in answers) and 0.1 < answers[0].mean() < 0.9
     assert tests[0] > 1.05 * tests[1] and tests[1] > 1.05 * tests[2], tests
@@ -341,7 +341,7 @@ def test_the_grid_is_clamped_to_a_spot(any_device: str) -> None:
         tracer.occluded(points, SpotLight("spot", (0.0, 0.0, 0.0), forward, angle))
         grid = _grid_of(tracer).rays.tiles.grid.numpy()[0]
         sizes.append(1.0 / (grid["columns_per_radian"] * grid["rows_per_radian"]))
-        entries.append(tracer._engine._frame.read_counters()["entries"])
+        entries.append(tracer._engine.inside._frame.read_counters()["entries"])
         assert 300 < grid["columns"] * grid["rows"] <= 500
     assert all(b < 0.6 * a for a, b in zip(sizes, sizes[1:], strict=False)), sizes
     assert all(b < 0.6 * a for a, b in zip(entries, entries[1:], strict=False)), entries
@@ -384,7 +384,7 @@ def test_recorded_frames_are_equal(any_device: str, entries: int) -> None:
     recording = _tracer(any_device, graphs=True, bounds=bounds, fixed=True)
     for states in (fixed, _frames(recording)):
         assert all(np.array_equal(a, b) for a, b in zip(expected, states, strict=True))
-    assert recording._engine._graphs.recorded() >= 1
+    assert recording._engine.inside._graphs.recorded() >= 1
     assert any((state == State.SHADOWED).any() for state in expected)
 
 
@@ -395,14 +395,14 @@ def test_fixed_size_and_few_entries(any_device: str) -> None:
     roomy = _tracer(any_device, fixed=True)
     roomy.scene.put("mesh", *mesh)
     expected = roomy.occluded(points, _LAMP)
-    counters = roomy._engine._frame.read_counters()
+    counters = roomy._engine.inside._frame.read_counters()
     total = counters["entries"]
     assert 0.1 < expected.mean() < 0.9 and total > 60
     for entries in (1, total // 2, total - 1, total, total + 1):
         tracer = _tracer(any_device, fixed=True, bounds={"grid_entries": entries})
         tracer.scene.put("mesh", *mesh)
         np.testing.assert_array_equal(tracer.occluded(points, _LAMP), expected)
-        again = tracer._engine._frame.read_counters()
+        again = tracer._engine.inside._frame.read_counters()
         assert (again["entries"], again["largest_tile"]) == (total, counters["largest_tile"])
         if entries >= total:
             assert again["leaf_tests"] == counters["leaf_tests"] and again["passes"] == 1

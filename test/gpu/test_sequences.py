@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sequences of unlike frames on one tracer, first frames of fresh tracers, and memory that nobody has written: nothing
+of another frame, and nothing that lay there before, answers for a sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import sequences
+from poison import BYTES, Poison
+from sequences import ROOMY, TIGHT
+
+from shadow_tracer import Bounds, ShadowTracer, available_pipelines
+from shadow_tracer.gpu import cuts, frame_tracer
+
+_VARIANTS = [(name, variant) for name, variants in available_pipelines().items() for variant in variants]
+_SHARED = [("light_grid", "packed"), ("cone_hierarchy", "linear"), ("brute_force", "filtered"), ("auto", "measured")]
+_RECORDED = [("light_grid", "packed"), ("light_grid", "packed_scalar"), ("cone_hierarchy", "linear_scalar")]
+_FIRST = 50
+
+
+@pytest.fixture(autouse=True)
+def _small_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight threads have work in a few hundred samples."""
+    for module in (cuts, frame_tracer):
+        monkeypatch.setattr(module, "LEAST", 64)
+
+
+def _tracer(names: tuple[str, str], bounds: Bounds = ROOMY, threads: int = 1) -> ShadowTracer:
+    return ShadowTracer(*names, device="cpu", bounds=bounds, threads=threads)
+
+
+def _wrong(tracer: ShadowTracer, steps: tuple[sequences.Step, ...]) -> dict[int, int]:
+    wrong = {number: sequences.differing(tracer, step) for number, step in enumerate(steps)}
+    return {number: count for number, count in wrong.items() if count}
+
+
+def test_sequences_hold_what_they_promise() -> None:
+    """Light and shadow, one sample and all, images and points."""
+    steps = [step for seed in (1, 2, 3) for step in sequences.sequence(seed, 24)]
+    sizes = {step.states.shape[1] for step in steps}
+    assert min(sizes) == 1 and max(sizes) == sequences.MAX_RAYS
+    assert sum(step.points is None for step in steps) > 10 < sum(step.points is not None for step in steps)
+    counts = np.sum([np.bincount(step.states.reshape(-1), minlength=5) for step in steps], axis=0)
+    assert (counts > 1000).all()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("bounds", [ROOMY, TIGHT], ids=["roomy", "tight"])
+@pytest.mark.parametrize("names", _VARIANTS, ids="/".join)
+def test_unlike_frames_one_after_the_other(names: tuple[str, str], bounds: Bounds, seed: int) -> None:
+    assert _wrong(_tracer(names, bounds), sequences.sequence(seed, 24)) == {}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("threads", [2, 3, 4, 8])
+@pytest.mark.parametrize("names", _SHARED, ids="/".join)
+def test_unlike_frames_by_several_threads(names: tuple[str, str], threads: int, seed: int) -> None:
+    tracer = _tracer(names, (ROOMY, TIGHT)[seed % 2], threads)
+    assert tracer.threads == threads
+    assert _wrong(tracer, sequences.sequence(seed, 24)) == {}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("names", _RECORDED, ids="/".join)
+def test_unlike_frames_recorded(names: tuple[str, str], seed: int) -> None:
+    """Each kind of frame twice more, so that it is recorded and replayed."""
+    tracer = ShadowTracer(*names, device="cpu", bounds=(TIGHT, ROOMY)[seed % 2], graphs=True)
+    for number, step in enumerate(sequences.sequence(seed, 24)):
+        assert sequences.differing(tracer, step) == 0, number
+        for _ in range(2):
+            assert np.array_equal(step.trace(tracer), step.states), number
+
+
+@pytest.mark.parametrize("names", _VARIANTS, ids="/".join)
+def test_first_frames_of_fresh_tracers(names: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What lies in the memory they are given is anything; threads in turn, where there are several."""
+    steps, wrong = sequences.sequence(4, _FIRST, fresh=True), {}
+    for number, step in enumerate(steps):
+        threads = (1, 2, 3, 4, 8)[number // len(BYTES) % 5] if names in _SHARED else 1
+        with monkeypatch.context() as patch:
+            Poison(patch, BYTES[number % len(BYTES)])
+            tracer = _tracer(names, threads=threads)
+            wrong[number] = sequences.differing(tracer, step)
+    assert not any(wrong.values()), wrong
+
+
+@pytest.mark.parametrize("byte", BYTES)
+@pytest.mark.parametrize("names", _VARIANTS, ids="/".join)
+def test_memory_that_nobody_has_written(names: tuple[str, str], byte: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What frames leave unwritten stays poisoned from the allocation on."""
+    Poison(monkeypatch, byte)
+    steps = sequences.sequence(5 + BYTES.index(byte), 10)
+    assert _wrong(_tracer(names, threads=1 + BYTES.index(byte)), steps) == {}
+
+
+@pytest.mark.parametrize("names", _VARIANTS, ids="/".join)
+def test_nothing_is_read_that_the_frame_has_not_written(
+    names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where everything is new in a frame, all of the tracer's memory is poisoned before it, of each sort in turn."""
+    poison = Poison(monkeypatch, 0xCD)
+    tracer, wrong = _tracer(names, threads=2), {}
+    for number, step in enumerate(sequences.sequence(4, 12, fresh=True)):
+        assert poison.fill(BYTES[number % len(BYTES)]) > 1_000_000
+        wrong[number] = sequences.differing(tracer, step)
+    assert not any(wrong.values()), wrong

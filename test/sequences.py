@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random sequences of unlike frames: sample counts from one to the capacity and back, images and points in turn, mixed
+lights, cameras and biases, meshes put, moved, deformed and removed; with the states that each frame must have.
+
+What a frame must answer is asked of a ``brute_force`` tracer that is made for this frame alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import geometry
+import numpy as np
+
+from shadow_tracer import Bias, Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SphereLight, SpotLight
+
+Change = Callable[[Any], None]  # of a scene
+Rng = np.random.Generator
+
+MAX_RAYS = 24_000
+MAX_TRIANGLES = 600
+MAX_LIGHTS = 4
+ROOMY = Bounds(MAX_TRIANGLES, MAX_RAYS, MAX_LIGHTS, queue_capacity=4096, grid_entries=16384)
+TIGHT = Bounds(MAX_TRIANGLES, MAX_RAYS, MAX_LIGHTS, queue_capacity=8, grid_entries=64)
+# Just beyond whole groups of 16, 256 and 4096 a structure over the samples has nodes that are nearly empty.
+_COUNTS = (1, 2, 15, 16, 17, 255, 257, 1000, 4095, 4097, 5000, MAX_RAYS - 1, MAX_RAYS, MAX_RAYS, MAX_RAYS)
+_COUNTS += tuple(4096 * groups + more for groups in (2, 3, 4, 5) for more in (1, 20, 300))
+
+
+@dataclass(frozen=True)
+class Step:
+    """A frame.
+
+    Attributes:
+        changes: of the scene, before it.
+        depth: (H, W) image with ``camera``, or None.
+        points: (N, 3), or None.
+        states: (L, N) what the lights do.
+    """
+
+    changes: tuple[Change, ...]
+    depth: np.ndarray | None
+    camera: Camera | None
+    points: np.ndarray | None
+    lights: tuple[Any, ...]
+    bias: Bias
+    culling: bool
+    states: np.ndarray = field(repr=False)
+
+    def trace(self, tracer: ShadowTracer) -> np.ndarray:
+        """(L, N) states by ``tracer``, whose scene has been changed already."""
+        tracer.front_face_culling = self.culling
+        if self.points is not None:
+            return tracer.states_at(self.points, self.lights, self.bias.constant)
+        frame = tracer.trace(self.depth, self.camera, self.lights, self.bias)
+        return np.stack([frame.state(light.name).reshape(-1) for light in self.lights])
+
+
+@cache
+def sequence(seed: int, length: int, fresh: bool = False) -> tuple[Step, ...]:
+    """``length`` frames; ``fresh``: everything is new in each of them."""
+    rng = np.random.default_rng(seed)
+    model = _Model(rng)
+    steps = []
+    for _ in range(length):
+        changes = tuple(model.change(fresh))
+        plain = bool(rng.random() < 0.5)
+        asked = Step(
+            changes, *_query(rng, plain), _lights(rng, plain), _bias(rng), bool(rng.random() < 0.2), np.zeros(0)
+        )
+        reference = ShadowTracer("brute_force", device="cpu", bounds=ROOMY, threads=1)
+        for change in model.whole():
+            change(reference.scene)
+        steps.append(Step(**{**vars(asked), "states": asked.trace(reference)}))
+    return tuple(steps)
+
+
+def differing(tracer: ShadowTracer, step: Step) -> int:
+    """Change the scene of ``tracer`` and trace a step: in how many (sample, light) pairs it is wrong."""
+    for change in step.changes:
+        change(tracer.scene)
+    return int((step.trace(tracer) != step.states).sum())
+
+
+class _Model:
+    """What the scene holds, to be able to make it from nothing."""
+
+    def __init__(self, rng: Rng) -> None:
+        self._rng = rng
+        self._meshes: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def whole(self) -> Iterator[Change]:
+        for name, mesh in self._meshes.items():
+            yield _put(name, *mesh)
+
+    def change(self, fresh: bool) -> Iterator[Change]:
+        rng = self._rng
+        if fresh or rng.random() < 0.08:
+            self._meshes.clear()
+            yield lambda scene: scene.clear()
+        for _ in range(1 if fresh else rng.integers(0, 4)):
+            name = str(rng.choice(list("abcd")))
+            kind = rng.choice(["put", "put", "deform", "move", "remove"])
+            if name not in self._meshes or kind == "put":
+                yield self._put(name)
+            elif kind == "remove":
+                del self._meshes[name]
+                yield lambda scene, name=name: scene.remove(name)
+            else:
+                vertices, triangles, pose = self._meshes[name]
+                if kind == "deform":
+                    vertices = vertices + rng.normal(0.0, 0.1, vertices.shape)
+                    yield lambda scene, name=name, vertices=vertices: scene.deform(name, vertices)
+                else:
+                    pose = _pose(rng)
+                    yield lambda scene, name=name, pose=pose: scene.move(name, pose)
+                self._meshes[name] = vertices, triangles, pose
+
+    def _put(self, name: str) -> Change:
+        rng = self._rng
+        room = MAX_TRIANGLES - sum(len(mesh[1]) for key, mesh in self._meshes.items() if key != name)
+        count = min(room, int(rng.choice([0, 1, 2, 3, 40, 150])))
+        vertices, triangles = geometry.soup(rng, max(count, 1), float(rng.choice([0.4, 6.0])), 2.0)
+        if rng.random() < 0.5:  # half of everything lies behind the first triangle: whole nodes, tiles, images
+            vertices[triangles[0]] = np.column_stack([_half_plane(rng), np.full(3, rng.uniform(-2.0, 4.5))])
+        triangles = triangles[:count]
+        mesh = vertices + (0.0, 0.0, 4.0), triangles, _pose(rng) if rng.random() < 0.3 else np.eye(4)
+        self._meshes[name] = mesh
+        return _put(name, *mesh)
+
+
+def _half_plane(rng: Rng) -> np.ndarray:
+    """(3, 2) corners of a triangle that covers what is beyond a line near the middle."""
+    angle, offset = rng.uniform(0.0, 2 * np.pi), rng.normal(0.0, 0.3)
+    across = np.array([np.cos(angle), np.sin(angle)])
+    along = np.array([-across[1], across[0]])
+    return np.array([offset * across - 90.0 * along, offset * across + 90.0 * along, 90.0 * across])
+
+
+def _put(name: str, vertices: np.ndarray, triangles: np.ndarray, pose: np.ndarray) -> Change:
+    return lambda scene: scene.put(name, vertices, triangles, pose)
+
+
+def _pose(rng: Rng) -> np.ndarray:
+    return geometry.pose_of(geometry.rotation(rng), rng.normal(0.0, 0.5, 3))
+
+
+def _bias(rng: Rng) -> Bias:
+    return Bias(float(rng.choice([0.0, 0.01, 0.3])), 0.0)
+
+
+def _query(rng: Rng, plain: bool) -> tuple[np.ndarray | None, Camera | None, np.ndarray | None]:
+    """An image with its camera, or points; ``plain``: a wall of points."""
+    if plain:
+        wall = np.empty((int(rng.choice(_COUNTS)), 3))
+        wall[:, :2], wall[:, 2] = rng.uniform(-3, 3, (len(wall), 2)), 9.0
+        return None, None, wall
+    if rng.random() < 0.5:
+        count = int(rng.choice(_COUNTS))
+        points = rng.uniform((-3, -3, 0), (3, 3, 9), (count, 3))
+        if rng.random() < 0.3:
+            points[:, 2] = 9.0  # a wall: all behind the same triangles
+        if rng.random() < 0.3:
+            points[rng.random(count) < 0.2] = np.nan
+        return None, None, points
+    width = int(rng.choice([1, 3, 16, 64, 100, 160]))
+    height = int(rng.choice([1, 2, 15, 48, 100, 150]))
+    pose = _pose(rng) if rng.random() < 0.5 else np.eye(4)
+    camera = Camera(width, height, 0.8 * max(width, 2), 0.8 * max(width, 2), width / 2, height / 2, pose)
+    depth = np.full((height, width), 8.0, np.float32)
+    if rng.random() < 0.7:
+        depth = rng.uniform(0.3, 9.0, (height, width)).astype(np.float32)
+    depth[rng.random(depth.shape) < rng.choice([0.0, 0.1, 0.9])] = np.nan
+    if rng.random() < 0.3:
+        depth = (1000.0 * np.nan_to_num(depth)).astype(np.uint16)
+    return depth, camera, None
+
+
+def _lights(rng: Rng, plain: bool) -> tuple[Any, ...]:
+    """Of all sorts; ``plain``: a lamp far in front of the meshes."""
+    if plain:
+        return (PointLight("lamp", rng.normal(0.0, 0.5, 3)),)
+    made: list[Any] = []
+    for index in range(int(rng.choice([1, 1, 2, MAX_LIGHTS]))):
+        name, position = f"light {index}", rng.normal(0.0, 1.0, 3)
+        far = float(rng.choice([6.0, np.inf]))
+        kind = rng.choice(["point", "spot", "sun", "sphere"], p=[0.35, 0.25, 0.2, 0.2])
+        if kind == "point":
+            made.append(PointLight(name, position, far))
+        elif kind == "spot":
+            made.append(SpotLight(name, position, rng.normal(size=3), float(rng.uniform(0.2, 3.1)), far))
+        elif kind == "sun":
+            made.append(DirectionalLight(name, rng.normal(size=3)))
+        else:
+            made.append(SphereLight(name, position, float(rng.uniform(0.1, 2.0)), far, samples=int(rng.choice([2, 5]))))
+    return tuple(made)
