@@ -19,7 +19,7 @@ from shadow_tracer.gpu.pipelines import AUTO, available_pipelines, resolve
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, unmasked_depth
+from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, unmasked_depth, valid_points
 from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
 from shadow_tracer.scene.mesh import Scene
 
@@ -185,13 +185,13 @@ class ShadowTracer:
             ValueError: wrong shape, a value that is not finite (its index is named), or not a light.
         """
         positions, flat = _positions(points)
-        finite_rows = (np.abs(flat) <= LARGEST).all(axis=1)
-        if not finite_rows.all():
-            bad = int(np.flatnonzero(~finite_rows)[0])
+        valid = valid_points(flat)
+        if valid is not None:
+            bad = int(np.flatnonzero(~valid)[0])
             where = tuple(int(k) for k in np.unravel_index(bad, positions.shape[:-1]))
             raise ValueError(
                 f"points: expected finite positions of at most {LARGEST:g}, got {flat[bad].tolist()} at index {where} "
-                f"and {int((~finite_rows).sum())} such points in all; select the finite ones first"
+                f"and {int((~valid).sum())} such points in all; select the finite ones first"
             )
         if not isinstance(light, _HARD):
             hint = "; states_at says where none, some or all of it reaches" if isinstance(light, SphereLight) else ""
@@ -225,12 +225,14 @@ class ShadowTracer:
         positions, flat = _positions(points)
         checked = self._check_lights(lights)
         constant = Bias(constant=bias).constant
-        valid: npt.NDArray[np.bool_] = np.asarray((np.abs(flat) <= LARGEST).all(axis=1))
-        flat = np.where(valid[:, None], flat, 0.0)
+        valid = valid_points(flat)
+        if valid is not None:
+            flat = np.where(valid[:, None], flat, 0.0)
         states = np.empty((len(checked), len(flat)), dtype=np.uint8)
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
-            traced = self._engine.trace_points(self.scene, flat[piece], checked, constant, valid[piece])
+            some = None if valid is None else valid[piece]
+            traced = self._engine.trace_points(self.scene, flat[piece], checked, constant, some)
             states[:, piece] = traced.states
         return states.reshape(len(checked), *positions.shape[:-1])
 

@@ -98,6 +98,23 @@ def test_error_says_which_point(reference: Any) -> None:
         reference.occluded(points, _LAMP)
 
 
+def test_error_counts_all_bad_points_and_names_the_first(reference: Any) -> None:
+    points = np.random.default_rng(73).uniform(-3, 3, (40, 50, 3))
+    bad = [(3, 7, 2, np.inf), (3, 8, 0, np.nan), (20, 0, 1, -np.inf), (39, 49, 2, 1.0000001e50), (39, 48, 0, -1e300)]
+    for i, j, k, value in bad:
+        points[i, j, k] = value
+    points[39, 49] = np.nan
+    points[0, 0] = 1e50, -1e50, 0.0  # large, and allowed
+    for given in (points, np.asfortranarray(points), points[:, ::-1][:, ::-1]):
+        with pytest.raises(ValueError) as caught:
+            reference.occluded(given, _LAMP)
+        expected = (
+            f"points: expected finite positions of at most 1e+50, got {points[3, 7].tolist()} at index (3, 7) "
+            "and 5 such points in all; select the finite ones first"
+        )
+        assert str(caught.value) == expected
+
+
 def test_more_points_than_one_piece(any_device: str) -> None:
     """occluded() works in pieces of max_rays: any number of points, the same answers."""
     points = np.random.default_rng(72).uniform(-3, 3, (1000, 3))

@@ -40,6 +40,7 @@ def points_anchor(
 ) -> Anchor:
     """Anchor of (N, 3) points, those that are not ``valid`` left out if others are."""
     seen = points if valid is None or not valid.any() else points[valid]
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    # A column at a time: numpy reduces a long strided column several times faster than an axis of length three.
+    low, high = (np.array([reduce(column) for column in seen.T]) for reduce in (np.min, np.max))
     center = 0.5 * low + 0.5 * high
     return make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), previous)

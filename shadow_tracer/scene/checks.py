@@ -58,6 +58,15 @@ def vector3(value: Any, field: str) -> FloatArray:
     return vector
 
 
+def valid_points(points: FloatArray) -> npt.NDArray[np.bool_] | None:
+    """Which of (N, 3) points have only coordinates that are finite and at most ``LARGEST``; None if all do."""
+    # Extremes of all coordinates take an eighth of the time of an answer per row. NaN comes out of them and fails.
+    if points.min(initial=0.0) >= -LARGEST and points.max(initial=0.0) <= LARGEST:
+        return None
+    within = np.abs(points) <= LARGEST
+    return within[:, 0] & within[:, 1] & within[:, 2]
+
+
 def direction3(value: Any, field: str) -> FloatArray:
     """Return ``value`` as three finite numbers that are not all zero (length is kept: the caller normalises)."""
     vector = vector3(value, field)
