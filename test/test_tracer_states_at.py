@@ -75,6 +75,23 @@ def test_points_that_are_not_finite_are_invalid_and_change_nobody_else(tracer: A
         np.testing.assert_array_equal(states, np.where(bad, State.INVALID, before))
 
 
+def test_one_point_of_many_moves(tracer: Any) -> None:
+    """What comes is compared with what came before: everywhere, and whether points are valid, too."""
+    tracer.scene.put("square", *geometry.square(2, 0.0, 1.0))
+    lamp = PointLight("lamp", (0.0, 0.0, 3.0))
+    points = np.tile((9.0, 9.0, -1.0), (3000, 1))
+    for index in (0, 1, 500, 1498, 1500, 2999):
+        moved = points.copy()
+        moved[index] = 0.1, 0.2, -1.0
+        spoilt = points.copy()
+        spoilt[index, 2] = np.nan
+        for given, state in ((points, None), (moved, State.SHADOWED), (points, None), (spoilt, State.INVALID)):
+            states = tracer.states_at(given, [lamp])[0]
+            expected = np.full(3000, State.LIT, np.uint8)
+            expected[index] = expected[index] if state is None else state
+            np.testing.assert_array_equal(states, expected, err_msg=str(index))
+
+
 def test_equals_trace_and_occluded(tracer: Any) -> None:
     tracer.scene.put("street", *_street())
     camera = Camera(12, 9, 10.0, 11.0, 5.4, 4.2, geometry.look_at((-8.0, 0.3, 2.0), (0.0, 0.0, 1.0), (0, 0, 1)))

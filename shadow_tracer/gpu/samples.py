@@ -68,12 +68,14 @@ class Samples:
         if self._compare and self._source == (("points", bias), parts) and _are_there(parts, points, good):
             return
         self._source = None
-        samples = np.empty((len(points), 4))
-        samples[:, :3] = points
-        samples[:, 3] = bias
         for frame, first, size in parts:
             frame.renew()
-            frame.upload(frame.samples, samples[first : first + size])
+            # On the CPU straight into the buffer: without a copy in between it takes two thirds of the time.
+            rows = frame.samples.numpy()[:size] if frame.device.is_cpu else np.empty((size, 4))
+            rows[:, :3] = points[first : first + size]
+            rows[:, 3] = bias
+            if not frame.device.is_cpu:
+                frame.upload(frame.samples, rows)
             frame.upload(frame.valid, good[first : first + size])
         self._source = ("points", bias), parts
 
@@ -84,13 +86,12 @@ class Samples:
         kind, parts = self._depth or (None, [])
         if kind != depth.dtype or sum(size for _, _, size in parts) != depth.size:
             return False
-        # As bits: NaN equals NaN. Another image mostly differs in any few pixels: only then all are read.
+        # As bits: NaN equals NaN.
         pairs = [
             (depth_of(frame, kind).numpy()[:size].view(integer), flat[first : first + size].view(integer))
             for frame, first, size in parts
         ]
-        few = all(np.array_equal(held[::997], mine[::997]) for held, mine in pairs)
-        return few and all(np.array_equal(held, mine) for held, mine in pairs)
+        return _equal(pairs)
 
 
 def depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
@@ -109,9 +110,15 @@ def _parts_of(frames: Sequence[FrameBuffers]) -> Parts:
 
 
 def _are_there(parts: Parts, points: FloatArray, good: npt.NDArray[np.uint8]) -> bool:
+    pairs = []
     for frame, first, size in parts:
-        if not np.array_equal(frame.samples.numpy()[:size, :3], points[first : first + size]):
-            return False
-        if not np.array_equal(frame.valid.numpy()[:size], good[first : first + size]):
-            return False
-    return True
+        pairs.append((frame.samples.numpy()[:size, :3], points[first : first + size]))
+        pairs.append((frame.valid.numpy()[:size], good[first : first + size]))
+    return _equal(pairs)
+
+
+def _equal(pairs: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]) -> bool:
+    """Whether what is held equals what comes."""
+    # Other input mostly differs in any few elements: only then all are read.
+    few = all(np.array_equal(held[::997], mine[::997]) for held, mine in pairs)
+    return few and all(np.array_equal(held, mine) for held, mine in pairs)
