@@ -13,7 +13,7 @@ import warp as wp
 from shadow_tracer.gpu.exact import ARITHMETIC, transform_point
 from shadow_tracer.gpu.transfers import Uploads
 from shadow_tracer.scene.bounds import Bounds
-from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.checks import FloatArray, all_three
 from shadow_tracer.scene.mesh import Mesh, Scene
 
 
@@ -225,6 +225,6 @@ def _finite_box(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     low = np.array([vertices[:, k].min() for k in range(3)])
     high = np.array([vertices[:, k].max() for k in range(3)])
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        finite = vertices[np.isfinite(vertices).all(axis=1)]
+        finite = vertices[all_three(np.isfinite(vertices))]
         return _finite_box(finite)
     return low, high

@@ -20,6 +20,7 @@ from shadow_tracer.ros.mesh_store import MeshStore, PartError
 from shadow_tracer.ros.messages import stamp_ns
 from shadow_tracer.ros.processing import check_age, forget_surface
 from shadow_tracer.ros.settings import FloatArray, Settings
+from shadow_tracer.scene.checks import all_three
 
 MOST_LIGHTS = 32
 _CAPACITY = 8
@@ -93,7 +94,7 @@ class Queries:
         while self._waiting:
             query = self._waiting[0]
             last_chance = now - query.arrived >= max(settings.tf_timeout, _SHORTEST_WAIT)
-            known: npt.NDArray[np.bool_] = np.asarray(np.isfinite(query.points).all(axis=1))
+            known = all_three(np.isfinite(query.points))
             bits = np.zeros(len(query.points), np.uint32)
             try:
                 if known.any():

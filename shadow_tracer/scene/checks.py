@@ -63,8 +63,12 @@ def valid_points(points: FloatArray) -> npt.NDArray[np.bool_] | None:
     # Extremes of all coordinates take an eighth of the time of an answer per row. NaN comes out of them and fails.
     if points.min(initial=0.0) >= -LARGEST and points.max(initial=0.0) <= LARGEST:
         return None
-    within = np.abs(points) <= LARGEST
-    return within[:, 0] & within[:, 1] & within[:, 2]
+    return all_three(np.abs(points) <= LARGEST)
+
+
+def all_three(good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """``good.all(axis=1)`` of an (N, 3) array, in a fraction of the time."""
+    return good[:, 0] & good[:, 1] & good[:, 2]
 
 
 def direction3(value: Any, field: str) -> FloatArray:

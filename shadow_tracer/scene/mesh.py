@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.scene.bounds import Bounds
-from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, name_of, refuse_mask, rigid_pose
+from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, all_three, name_of, refuse_mask, rigid_pose
 
 IntArray = npt.NDArray[np.int32]
 
@@ -45,7 +45,7 @@ def _vertices(value: Any, nonfinite: str) -> FloatArray:
     vertices = _own(array, np.float64)
     # NaN comes out of min and max and fails the comparison.
     if vertices.size and not (vertices.min() >= -LARGEST and vertices.max() <= LARGEST):
-        good = (np.abs(vertices) <= LARGEST).all(axis=1)
+        good = all_three(np.abs(vertices) <= LARGEST)
         if nonfinite == "refuse":
             bad = int(np.flatnonzero(~good)[0])
             raise ValueError(
