@@ -77,7 +77,7 @@ _BLOCK = 256
         if (ray[0] != ray[0] || !(attempt > 0 ? state == 4 : state == 0))
             continue;
         U[n] = ray[0]; V[n] = ray[1]; W[n] = ray[2]; Z[n] = ray[3];
-        M[n] = fabsf(ray[0]) + fabsf(ray[1]) + fabsf(ray[2]) + fabsf(ray[3]) + floor_;
+        M[n] = fabsf(ray[0]) + fabsf(ray[1]) + fabsf(ray[3]) + floor_;
         index[n] = i;
         already[n] = attempt == 2 ? resume.data[i] : 0;
         queued[n] = 0;

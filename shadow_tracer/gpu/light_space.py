@@ -15,11 +15,12 @@ the same direction, and the plane of a triangle, N . (U, V, Z) > D behind it, is
 
 So a node of a ray hierarchy is a bound on e, and the least and largest t in it.
 
-Bounds. The filter's records promise |n.h - exact| <= s_e m for an edge and s_N m + s_D for the plane, with m = |U| +
-|V| + |W| + |Z| + 2^-20 (``docs/exactness.md``). For every ray of a node m/|h| and 1/|h| are at most M = 4 + 2.001 max
-|t|. Evaluating an edge over a node rounds by less than 24 u <= s_e M (as s_e >= 8 u and M >= 4), so ``2 s_e M`` is a
-safe pad; the plane's coefficients and their evaluation round by at most 16 u (1 + |D|) M, which ``4 (s_N + s_D) M``
-holds beside the record's own error.
+Bounds. The filter's records promise |n.h - exact| <= s_e m for an edge, with m = |U| + |V| + |W| + |Z| + 2^-20, and s_N
+(m - |W|) + s_D for the plane (``docs/exactness.md``). For every ray of a node m/|h| and 1/|h| are at most M = 4 + 2.001
+max |t|. Evaluating an edge over a node rounds by less than 24 u <= s_e M (as s_e >= 8 u and M >= 4), so ``2 s_e M`` is
+a safe pad; the plane's coefficients and their evaluation round by at most 16 u (1 + |D|) M, which ``7 (s_N + s_D) M``
+holds beside the record's own error: s_N >= 5 u and s_D >= 3 u |D|, and 6 times that is 30 u + 18 u |D|. M keeps W here:
+it is a coordinate of P.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ def edge_pad(edge_error: float, magnitude: float) -> float:
 @wp.func
 def plane_pad(slope_error: float, offset_error: float, magnitude: float) -> float:
     """The same for P . (e, t); the errors are s_N and s_D of the record."""
-    return 4.0 * (slope_error + offset_error) * magnitude
+    return 7.0 * (slope_error + offset_error) * magnitude
 
 
 @wp.func

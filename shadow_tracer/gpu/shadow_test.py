@@ -29,7 +29,7 @@ NO = wp.constant(0)
 YES = wp.constant(1)
 MAYBE = wp.constant(2)
 
-# Floor of the magnitude that scales the filter's bound: keeps float64 frame errors (below 2^-48) covered next to the
+# Floor of the magnitude that scales the filter's bounds: keeps float64 frame errors (below 2^-48) covered next to the
 # light.
 MAGNITUDE_FLOOR = 2.0**-20
 
@@ -102,15 +102,16 @@ def is_ray(state: wp.uint8, ray: wp.vec4) -> bool:
 
 @wp.func
 def ray_magnitude(ray: wp.vec4) -> float:
-    """What the bounds of ``filter_pair`` scale with."""
-    return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[2]) + wp.abs(ray[3]) + MAGNITUDE_FLOOR
+    """What the bounds of ``filter_pair`` scale with: that of the own plane, in (U, V, Z), with this, those of edges
+    with |W| more."""
+    return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[3]) + MAGNITUDE_FLOOR
 
 
 # The filter as C++, so that native loops of pipelines use the same code: record points at the 16 floats of a triangle.
 FILTER = r"""
     auto filter = [](const wp::vec4& ray, float magnitude, const wp::vec4* record) -> int {
         const wp::vec4 &ab = record[0], &bc = record[1], &ca = record[2], &plane = record[3];
-        const float edge = ab[3] * magnitude;
+        const float edge = ab[3] * (magnitude + fabsf(ray[2]));
         const float depth = bc[3] * magnitude + ca[3];
         const float e0 = ab[0] * ray[0] + ab[1] * ray[1] + ab[2] * ray[2];
         const float e1 = bc[0] * ray[0] + bc[1] * ray[1] + bc[2] * ray[2];
@@ -134,7 +135,7 @@ FILTER_BLOCK = r"""
         const float p0 = record[12], p1 = record[13], p2 = record[14], p3 = record[15];
         int any = 0;
         for (int j = 0; j < n; ++j) {
-            const float edge = a3 * M[j], depth = b3 * M[j] + c3;
+            const float edge = a3 * (M[j] + fabsf(W[j])), depth = b3 * M[j] + c3;
             const float e0 = a0 * U[j] + a1 * V[j] + a2 * W[j];
             const float e1 = b0 * U[j] + b1 * V[j] + b2 * W[j];
             const float e2 = c0 * U[j] + c1 * V[j] + c2 * W[j];
@@ -165,7 +166,7 @@ FILTER_SIXTEEN = (
     auto filter16 = [&](const float* record, const float* rays, int& yes) -> int {
         const Sixteen U = *(const Sixteen*)rays, V = *(const Sixteen*)(rays + 16), W = *(const Sixteen*)(rays + 32);
         const Sixteen Z = *(const Sixteen*)(rays + 48), M = *(const Sixteen*)(rays + 64);
-        const Sixteen edge = record[3] * M, depth = record[7] * M + record[11];
+        const Sixteen edge = record[3] * (M + __builtin_elementwise_abs(W)), depth = record[7] * M + record[11];
         const Sixteen e0 = record[0] * U + record[1] * V + record[2] * W;
         const Sixteen e1 = record[4] * U + record[5] * V + record[6] * W;
         const Sixteen e2 = record[8] * U + record[9] * V + record[10] * W;

@@ -128,7 +128,7 @@ TRIANGLE = (
         for (int i = 0; i < 4; ++i)
             it.spread[i] = fabsf(it.p[i]);
         it.edge = 2.0f * record[0][3];
-        it.plane = 4.0f * (record[1][3] + record[2][3]);
+        it.plane = 7.0f * (record[1][3] + record[2][3]);
         it.blind = !(sum + fabsf(plane[3]) + it.edge + it.plane < 1.0e18f);
         return true;
     };

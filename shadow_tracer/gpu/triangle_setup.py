@@ -17,10 +17,13 @@ from shadow_tracer.gpu.exact import DETERMINANT, determinant_sign
 from shadow_tracer.gpu.light_frame import LightFrame, frame_coordinates
 from shadow_tracer.gpu.scene_buffers import SceneBuffers
 
-# Unit roundoff of float32, and the factor in front of it: the filter's evaluation chain has at most 6 roundings, 8 are
-# allowed.
+# Unit roundoff of float32, and the factors in front of it (docs/exactness.md, section 3): an edge is off by 5 u of the
+# ray's magnitude at most, the own plane by 4 u of its magnitude and 2 u of its offset; what is more pays for the
+# roundings of the bounds.
 U32 = 2.0**-24
 FILTER_FACTOR = 8.0
+SLOPE_FACTOR = 5.0
+OFFSET_FACTOR = 3.0
 # Bound of the float64 errors of frame coordinates and of products of them, relative to the magnitudes involved.
 SETUP_ERROR = 2.0**-46
 # A plane's offset beyond this may not fit in float32: its bound is infinite, so that it decides nothing there.
@@ -53,7 +56,7 @@ def edge_difference(frame: LightFrame, e: wp.vec3d) -> wp.vec4d:
 
 
 @wp.func
-def own_plane(a: wp.vec4d, ab: wp.vec4d, ac: wp.vec4d, sign: wp.float64, rounding: wp.float64):
+def own_plane(a: wp.vec4d, ab: wp.vec4d, ac: wp.vec4d, sign: wp.float64, u32: wp.float64):
     """The triangle's plane (N, D) in (U, V, Z), N scaled to largest component 1, the light on its negative side; and
     its bounds s_N and s_D."""
     e1 = wp.vec3d(ab[0], ab[1], ab[3])
@@ -67,8 +70,9 @@ def own_plane(a: wp.vec4d, ab: wp.vec4d, ac: wp.vec4d, sign: wp.float64, roundin
     n = n * (-sign / size)
     d = n[0] * a[0] + n[1] * a[1] + n[2] * a[3]
     extent = wp.float64(1.0) + wp.abs(a[0]) + wp.abs(a[1]) + wp.abs(a[3])
-    s_plane = rounding + wp.float64(2.0) * n_error
-    s_offset = rounding * wp.abs(d) + wp.float64(2.0) * (n_error + wp.float64(SETUP_ERROR)) * extent
+    s_plane = wp.float64(SLOPE_FACTOR) * u32 + wp.float64(2.0) * n_error
+    s_offset = wp.float64(OFFSET_FACTOR) * u32 * wp.abs(d)
+    s_offset += wp.float64(2.0) * (n_error + wp.float64(SETUP_ERROR)) * extent
     if not wp.abs(d) < wp.float64(LARGEST_OFFSET):
         s_offset = wp.float64(wp.inf)
     return wp.vec4d(n[0], n[1], n[2], d), s_plane, s_offset
@@ -134,7 +138,7 @@ def prepare_triangles(
     edge_error = wp.max(wp.max(p0[3], p1[3]), p2[3])
     s_edge = factor * u32 + wp.float64(2.0) * edge_error
 
-    n, s_plane, s_offset = own_plane(va, eab, eac, sign, factor * u32)
+    n, s_plane, s_offset = own_plane(va, eab, eac, sign, u32)
     records[i, 0] = wp.vec4(float(sign * p0[0]), float(sign * p0[1]), float(sign * p0[2]), float(s_edge))
     records[i, 1] = wp.vec4(float(sign * p1[0]), float(sign * p1[1]), float(sign * p1[2]), float(s_plane))
     records[i, 2] = wp.vec4(float(sign * p2[0]), float(sign * p2[1]), float(sign * p2[2]), float(s_offset))
@@ -247,9 +251,9 @@ BLOCK = 128
             record[0][j][0] = p0.x; record[0][j][1] = p0.y; record[0][j][2] = p0.z;
             record[0][j][3] = rounding + 2.0 * larger(larger(p0.error, p1.error), p2.error);
             record[1][j][0] = p1.x; record[1][j][1] = p1.y; record[1][j][2] = p1.z;
-            record[1][j][3] = rounding + 2.0 * error;
+            record[1][j][3] = slope_factor * u32 + 2.0 * error;
             record[2][j][0] = p2.x; record[2][j][1] = p2.y; record[2][j][2] = p2.z;
-            const double bound = rounding * fabs(d) + 2.0 * (error + setup) * extent;
+            const double bound = offset_factor * u32 * fabs(d) + 2.0 * (error + setup) * extent;
             record[2][j][3] = fabs(d) < largest_offset ? bound : HUGE_VAL;
             record[3][j][0] = x; record[3][j][1] = y; record[3][j][2] = z; record[3][j][3] = d;
         }
@@ -280,6 +284,8 @@ def prepare_block(
     count: int,
     frame: LightFrame,
     factor: wp.float64,
+    slope_factor: wp.float64,
+    offset_factor: wp.float64,
     u32: wp.float64,
     setup: wp.float64,
     largest_offset: wp.float64,
@@ -320,6 +326,8 @@ def prepare_blocks(
         count,
         light[0],
         factor,
+        wp.float64(SLOPE_FACTOR),
+        wp.float64(OFFSET_FACTOR),
         wp.float64(U32),
         wp.float64(SETUP_ERROR),
         wp.float64(LARGEST_OFFSET),

@@ -131,7 +131,7 @@ def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4)
     const float inverse_mode = space.inverse ? 1.0f : 0.0f;
     for (int j = 0; j < 16; ++j) {
         const float u = fabsf(U[j]), v = fabsf(V[j]), w = fabsf(W[j]);
-        M[j] = u + v + w + fabsf(Z[j]) + 0x1p-20f;
+        M[j] = u + v + fabsf(Z[j]) + 0x1p-20f;
         float size = u > v ? u : v;
         size = size > w ? size : w;
         const float inverse = 1.0f / size;

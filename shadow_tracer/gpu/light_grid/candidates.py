@@ -24,7 +24,16 @@ from shadow_tracer.gpu.light_grid.tiles import Tiles
 from shadow_tracer.gpu.passes import Pass
 from shadow_tracer.gpu.scene_buffers import Change
 from shadow_tracer.gpu.shadow_test import SIXTEEN
-from shadow_tracer.gpu.triangle_setup import BLOCK, FILTER_FACTOR, LARGEST_OFFSET, SETUP_ERROR, U32, prepare_block
+from shadow_tracer.gpu.triangle_setup import (
+    BLOCK,
+    FILTER_FACTOR,
+    LARGEST_OFFSET,
+    OFFSET_FACTOR,
+    SETUP_ERROR,
+    SLOPE_FACTOR,
+    U32,
+    prepare_block,
+)
 from shadow_tracer.gpu.triangles import Context
 
 _CLUSTERS = BLOCK // CLUSTER  # of a block of records
@@ -184,6 +193,8 @@ def make_block(
             count,
             light,
             wp.float64(FILTER_FACTOR),
+            wp.float64(SLOPE_FACTOR),
+            wp.float64(OFFSET_FACTOR),
             wp.float64(U32),
             wp.float64(SETUP_ERROR),
             wp.float64(LARGEST_OFFSET),

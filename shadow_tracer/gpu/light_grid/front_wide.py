@@ -116,7 +116,7 @@ TAKE = r"""
         *(Sixteen*)plane_row[2] = inverse_mode ? -at(14) : -at(15);
         *(Sixteen*)plane_row[3] = smaller(slope, none);
         *(Sixteen*)pad[0] = 2.0f * at(3);
-        *(Sixteen*)pad[1] = 4.0f * (at(7) + at(11));
+        *(Sixteen*)pad[1] = 7.0f * (at(7) + at(11));
     };
     auto side = [&](int face, int j) -> Side {
         const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;

@@ -126,7 +126,7 @@ _COLUMN = (
                     const float *major = lane + 16 * axis, *one = lane + 16 * first, *two = lane + 16 * second;
                     float u[16], v[16], t[16];
                     for (int j = 0; j < 16; ++j) {
-                        M[j] = fabsf(U[j]) + fabsf(V[j]) + fabsf(W[j]) + fabsf(Z[j]) + 0x1p-20f;
+                        M[j] = fabsf(U[j]) + fabsf(V[j]) + fabsf(Z[j]) + 0x1p-20f;
                         const float inverse = 1.0f / fabsf(major[j]);
                         u[j] = one[j] * inverse;
                         v[j] = two[j] * inverse;

@@ -12,8 +12,9 @@ against the distance of triangles, and float32 from overflowing: 2^-20 m serves 
 Packed record, 16 floats in the place of the light's: (n_ab, s_e) (n_bc, s_q) (n_ca, casts) (Q, 0). The plane N . x' =
 D becomes S / z = Q . (x, -y, 1) with Q = (Nu, Nv, -Nz) / D. With the record's promises |N.h - exact| <= s_N m and |D -
 exact| <= s_D, delta = s_D / D <= 1/4 and |N| <= 1, N.h / D is off by at most m / D (s_N + 1.4 delta); rounding Q and
-evaluating it adds 5 u m / D. s_q = 2 (s_N + delta) / D covers both (s_N >= 8 u), and the float64 depth's own error,
-which is of the size of the set-up terms in s_N over 16. Where that cannot be said s_q is infinite: float64 decides.
+evaluating it adds 5 u m / D. s_q = 2 (s_N + delta) / D covers both, as s_N >= 5 u and 0.6 delta >= 1.8 u are left for
+roundings of s_q itself, and the float64 depth's own error, which is of the size of the set-up terms in s_N over 16, as
+they are there twice. Where that cannot be said s_q is infinite: float64 decides.
 """
 
 from __future__ import annotations

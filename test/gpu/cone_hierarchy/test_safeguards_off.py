@@ -32,7 +32,7 @@ _MUTANTS = {
         "test_box_nodes.py",
         [
             ("../triangle_planes.py", "it.edge = 2.0f * record[0][3];", "it.edge = 0.0f;"),
-            ("../triangle_planes.py", "it.plane = 4.0f * (record[1][3] + record[2][3]);", "it.plane = 0.0f;"),
+            ("../triangle_planes.py", "it.plane = 7.0f * (record[1][3] + record[2][3]);", "it.plane = 0.0f;"),
             ("boxes.py", "_PAD = 2.0**-21", "_PAD = 0.0"),
         ],
     ),

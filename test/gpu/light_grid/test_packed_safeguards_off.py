@@ -70,8 +70,8 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         _BOXES,
         "vast-0",
         [
-            ("triangle_planes.py", "it.plane = 4.0f * (record[1][3] + record[2][3]);", "it.plane = 0.0f;"),
-            ("light_grid/front_wide.py", "= 4.0f * (at(7) + at(11));", "= 0.0f * at(7);"),
+            ("triangle_planes.py", "it.plane = 7.0f * (record[1][3] + record[2][3]);", "it.plane = 0.0f;"),
+            ("light_grid/front_wide.py", "= 7.0f * (at(7) + at(11));", "= 0.0f * at(7);"),
         ],
     ),
     "bounds without pads": (
