@@ -86,7 +86,7 @@ def perform(chosen: argparse.Namespace) -> None:
         tracer.warm_up()
         player = Player(recording, background, settings, tracer, output, names, wish)
         result = _play(player, recording)
-        advice = _advice(recording, background, settings, result)
+        advice = [*player.meshes.left_out, *_advice(recording, background, settings, result)]
     _summarise(result, output, player, tracer, time.monotonic() - start)
     for line in advice:
         print(f"warning: {line}", file=sys.stderr)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.ros.cdr_reader import MeshMessageError, Reader, Writer
-from shadow_tracer.scene.checks import LARGEST
+from shadow_tracer.scene.checks import LARGEST, unusable_vertices
 
 __all__ = ["MeshMessage", "MeshMessageError", "encode_mesh", "parse_mesh"]
 
@@ -25,7 +25,7 @@ class MeshMessage:
 
     Attributes:
         triangles: (T, 3) int32 vertex indices, all in range.
-        vertices: (V, 3) float64 [m], all finite.
+        vertices: (V, 3) float64 [m]; those that a triangle uses are finite.
         block: the triangle block as it came, (T, 3) unsigned in the byte order of the message; tells a deformation
             from a new topology without converting it.
     """
@@ -50,7 +50,8 @@ def parse_mesh(data: bytes, max_triangles: int, known: MeshMessage | None = None
         known: a mesh whose triangles are taken over, unchecked and uncopied, if the triangle block has the same bytes.
 
     Raises:
-        MeshMessageError: truncated, too large, index out of range, coordinate not finite or beyond 1e50, not plain CDR.
+        MeshMessageError: truncated, too large, index out of range, a coordinate of a triangle not finite or beyond
+            1e50, not plain CDR.
     """
     reader = Reader(data)
     triangle_count = reader.count("triangles")
@@ -70,7 +71,7 @@ def parse_mesh(data: bytes, max_triangles: int, known: MeshMessage | None = None
         triangles = known.triangles
     else:
         triangles = _triangles(block, vertex_count)
-    return MeshMessage(triangles, _vertices(points), block)
+    return MeshMessage(triangles, _vertices(points, triangles), block)
 
 
 def _triangles(block: npt.NDArray[np.uint32], vertex_count: int) -> npt.NDArray[np.int32]:
@@ -86,28 +87,32 @@ def _triangles(block: npt.NDArray[np.uint32], vertex_count: int) -> npt.NDArray[
     return triangles
 
 
-def _vertices(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _vertices(points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
     # The block starts at 4 modulo 8 in memory: copied, it is aligned and in native byte order.
     vertices = np.empty(points.shape)
     vertices[...] = points
-    check_coordinates(vertices, "vertices", "vertex")
+    check_coordinates(vertices, "vertices", "vertex", triangles)
     vertices.setflags(write=False)
     return vertices
 
 
-def check_coordinates(vertices: npt.NDArray[np.float64], field: str, one: str) -> None:
+def check_coordinates(
+    vertices: npt.NDArray[np.float64], field: str, one: str, triangles: npt.NDArray[np.int32] | None = None
+) -> None:
     """Refuse coordinates, (V, 3) [m], that are not finite or beyond what a scene takes.
 
     Args:
         field: what the text starts with.
         one: what one row is called.
+        triangles: (T, 3) indices; what none of them uses may be anything. None: all rows are used.
 
     Raises:
         MeshMessageError: locates the first bad one.
     """
-    if not len(vertices) or (vertices.min() >= -LARGEST and vertices.max() <= LARGEST):  # NaN comes out of both
+    rows = unusable_vertices(vertices, np.arange(len(vertices)) if triangles is None else triangles)
+    if not len(rows):
         return
-    bad = int(np.flatnonzero(~(np.abs(vertices) <= LARGEST))[0])
+    bad = 3 * int(rows[0]) + int(np.flatnonzero(~(np.abs(vertices[rows[0]]) <= LARGEST))[0])
     value = vertices.flat[bad]
     wrong = f"larger than {LARGEST:g} m" if np.isfinite(value) else "not finite"
     raise MeshMessageError(f"{field}: coordinate {'xyz'[bad % 3]} of {one} {bad // 3} is {value}, {wrong}")

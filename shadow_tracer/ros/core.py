@@ -92,7 +92,7 @@ class Core:
         settings = self.settings
         self.frames.configure(settings)
         self.inputs.subscribe()
-        self.inputs.meshes.load_files(settings, self.now_ns())
+        self._load_files(settings)
         if not self._warned:  # not before all QoS overrides are declared
             self._warned = True
             for warning in self.server.warnings():
@@ -158,7 +158,7 @@ class Core:
             if self.inputs.subscriptions:  # else the node is not active and listens to nothing, not to tf either
                 self.frames.configure(new)
             if (old.mesh_files, old.mesh_files_scale) != (new.mesh_files, new.mesh_files_scale):
-                self.inputs.meshes.load_files(new, self.now_ns())
+                self._load_files(new)
             if (old.pipeline, old.variant) != (new.pipeline, new.variant):
                 self.host.select(new, self._on_selected)
             elif bool(old.verify_every) != bool(new.verify_every):
@@ -168,6 +168,11 @@ class Core:
                 self._reporting = self._timer(new.diagnostics_period, self._report)
         except Exception as error:  # set_parameters must not raise into rclpy's service
             self.note_fault(error)
+
+    def _load_files(self, settings: Settings) -> None:
+        self.inputs.meshes.load_files(settings, self.now_ns())
+        for text in self.inputs.meshes.left_out:
+            self.node.get_logger().warning(text)
 
     def _on_jump(self, jump: Any) -> None:
         self._forget(f"time jumped back by {-jump.delta.nanoseconds * 1e-9:.1f} s")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from shadow_tracer.ros.diagnostics import ERROR, OK, WARN
 from shadow_tracer.ros.mesh_sources import TOPICS
+from shadow_tracer.ros.mesh_store import FILES
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.transport import LARGE
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from shadow_tracer.ros.inputs import Inputs
 
 _SILENT = 3.0  # seconds after which an input counts as silent
+_LIT = "what it should cover is lit"
 _MUCH = 0.1  # share of images that the transport may lose before it is said
 
 Verdict = tuple[bytes, str, dict[str, Any]]
@@ -101,6 +103,7 @@ def judge_mesh(inputs: Inputs, settings: Settings, now: float, now_ns: int) -> V
         "deformed": store.updates["deform"],
         "moved": store.updates["move"],
         "files": f"{len(settings.mesh_files)}" if settings.mesh_files else "-",
+        "left out of files": "; ".join(meshes.left_out) or "-",
         "ignored markers": meshes.ignored_markers,
     }
     for name, source in used.items():
@@ -121,10 +124,17 @@ def _mesh_verdict(inputs: Inputs, settings: Settings, now: float) -> tuple[bytes
         return ERROR, mismatch
     for name, source in meshes.sources.items():
         if source.refused.recent(now):
-            text = f"{source.refused.text}; the last good one stays; correct the publisher of {inputs.topic(name)}"
-            return ERROR, f"{name} refused, {text}"
+            kept = "the last good one stays" if meshes.in_force(name) else f"there is no earlier one: {_LIT}"
+            return (
+                ERROR,
+                f"{name} refused, {source.refused.text}; {kept}; correct the publisher of {inputs.topic(name)}",
+            )
     if meshes.files:
-        return ERROR, f"{meshes.files}; correct mesh.files, the others stay"
+        loaded = any(key.startswith(FILES) for key in store.parts)
+        return (
+            ERROR,
+            f"{meshes.files}; correct mesh.files, {'the others stay' if loaded else f'none is loaded: {_LIT}'}",
+        )
     slow = next(filter(None, meshes.layouts.reasons.values()), "")
     if slow:
         return WARN, f"{slow}; please report your ROS distribution"
@@ -132,7 +142,13 @@ def _mesh_verdict(inputs: Inputs, settings: Settings, now: float) -> tuple[bytes
         return OK, "occluders is depth: the depth image alone casts shadow"
     if not store.parts and not settings.uses_depth:
         topic = inputs.topic("mesh")
-        if meshes.received - meshes.refused > 0:
+        if meshes.received == meshes.refused > 0:
+            name, refused = next((name, s.refused) for name, s in meshes.sources.items() if s.refused.text)
+            return WARN, (
+                f"no mesh: all {meshes.refused} that came were refused, so that every valid pixel is lit, {refused.text}; "
+                f"correct the publisher of {inputs.topic(name)}"
+            )
+        if meshes.received > 0:
             return WARN, f"the meshes have no triangles: every valid pixel is lit; see the publisher of {topic}"
         hint = f"publish shape_msgs/Mesh on {topic}, or remap mesh to its topic, or set mesh.files"
         return WARN, f"no mesh: every valid pixel is lit; {hint}"

@@ -12,12 +12,14 @@ from shadow_tracer.ros.clouds import soup_part
 from shadow_tracer.ros.diagnostics import Complaint, RateMeter, Window
 from shadow_tracer.ros.layouts import Layouts
 from shadow_tracer.ros.markers import count_ignored, marker_changes
-from shadow_tracer.ros.mesh_files import file_parts
+from shadow_tracer.ros.mesh_files import FilePart, file_parts
 from shadow_tracer.ros.mesh_store import FILES, Changes, MeshStore, Part, PartError
 from shadow_tracer.ros.settings import Settings
 
 MESH_KEY = "mesh"
 TOPICS = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud")
+# How the keys of the parts begin that a topic brings.
+_KEYS = {"mesh": MESH_KEY, "mesh_markers": "markers/", "mesh_marker": "markers/", "mesh_cloud": "cloud"}
 
 
 class MeshSource:
@@ -105,6 +107,16 @@ class MeshSources:
             self.files = ""
         except PartError as error:
             self.files = str(error)
+
+    def in_force(self, topic: str) -> bool:
+        """Whether anything that came by a topic casts shadow now; both topics of markers count as one."""
+        return any(key.startswith(_KEYS[topic]) for key in self.store.parts)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What files in force hold that casts no shadow, a text for each such file."""
+        texts = (part.left_out for part in self.store.parts.values() if isinstance(part, FilePart))
+        return tuple(dict.fromkeys(text for text in texts if text))
 
     def clear(self, now_ns: int) -> int:
         """Drop every mesh that was received; those of files stay. Returns how many parts went."""

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from shadow_tracer import BoundsError, Scene
 from shadow_tracer.ros.diagnostics import Missing
 from shadow_tracer.ros.settings import FloatArray
-from shadow_tracer.scene.checks import LARGEST
+from shadow_tracer.scene.checks import LARGEST, unusable_vertices
 
 FILES = "files/"  # keys of parts that come from files: they do not age
 
@@ -42,7 +42,7 @@ class Part:
 
     Attributes:
         key: unique name: "mesh", "cloud", "markers/<ns>/<id>", "files/<n>".
-        vertices: (V, 3) float64 [m], read-only, owning, finite.
+        vertices: (V, 3) float64 [m], read-only, owning; those that a triangle uses are finite.
         triangles: (T, 3) int32, read-only, owning, in range. The same object as before means the same topology.
         frame: frame of ``pose``; "" is the parameter ``mesh.frame``.
         stamp: time at which the frame is looked up [ns]; 0 is the stamp of the depth image.
@@ -147,7 +147,8 @@ class MeshStore:
             now_ns: time of the node's clock [ns], from which the parts age.
 
         Raises:
-            PartError: all parts together would exceed ``bounds.max_triangles``, or a coordinate is beyond 1e50.
+            PartError: all parts together would exceed ``bounds.max_triangles``, or a coordinate of a triangle is beyond
+                1e50.
         """
         parts = self._parts
         if changes.clear is not None:
@@ -171,12 +172,13 @@ class MeshStore:
             )
         for part in new:
             known = self._parts.get(part.key)
-            if known is not None and known.vertices is part.vertices or not len(part.vertices):
+            if known is not None and known.vertices is part.vertices and known.triangles is part.triangles:
                 continue
-            low, high = float(part.vertices.min()), float(part.vertices.max())
-            if not (low >= -LARGEST and high <= LARGEST):
+            bad = unusable_vertices(part.vertices, part.triangles)
+            if len(bad):
                 raise PartError(
-                    f"vertices: expected finite coordinates of at most {LARGEST:g} m, got {low:g} to {high:g}"
+                    f"vertices: expected finite coordinates of at most {LARGEST:g} m, got "
+                    f"{part.vertices[bad[0]].tolist()} at vertex {bad[0]} of {part.key}"
                 )
 
     def expire(self, now_ns: int) -> None:

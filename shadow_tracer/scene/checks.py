@@ -98,6 +98,20 @@ def finite(value: Any, field: str) -> float:
     return number
 
 
+def unusable_vertices(vertices: FloatArray, triangles: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.intp]:
+    """Vertices, (V, 3), that are not finite or beyond :data:`LARGEST` and that a triangle, (T, 3), uses; the first one
+    first. What no triangle uses cannot matter to any shadow.
+
+    Triangles must be in range."""
+    # NaN comes out of min and max and fails the comparison.
+    if not vertices.size or (vertices.min() >= -LARGEST and vertices.max() <= LARGEST):
+        return np.zeros(0, np.intp)
+    wrong = ~(np.abs(vertices) <= LARGEST).all(axis=1)
+    used = np.zeros(len(vertices), bool)
+    used[triangles] = True
+    return np.flatnonzero(wrong & used)
+
+
 def rigid_pose(value: Any, field: str) -> FloatArray:
     """Return ``value`` as a 4x4 rigid transform: finite, last row 0 0 0 1, rotation orthonormal within 1e-6,
     determinant +1."""

@@ -10,13 +10,22 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.scene.bounds import Bounds
-from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, all_three, name_of, refuse_mask, rigid_pose
+from shadow_tracer.scene.checks import (
+    LARGEST,
+    BoundsError,
+    FloatArray,
+    all_three,
+    name_of,
+    refuse_mask,
+    rigid_pose,
+    unusable_vertices,
+)
 
 IntArray = npt.NDArray[np.int32]
 
@@ -30,7 +39,8 @@ def _own(array: npt.NDArray[Any], dtype: Any) -> npt.NDArray[Any]:
     return np.array(array, dtype=dtype, order="C")
 
 
-def _vertices(value: Any, nonfinite: str) -> FloatArray:
+def _vertices(value: Any) -> FloatArray:
+    """(V, 3) positions, finite or not."""
     refuse_mask(value, "vertices")
     try:
         array = np.asarray(value)
@@ -40,18 +50,24 @@ def _vertices(value: Any, nonfinite: str) -> FloatArray:
         raise ValueError(f"vertices: expected shape (V, 3), got {array.shape}")
     if array.dtype.kind not in "fiu":
         raise ValueError(f"vertices: expected real numbers, got dtype {array.dtype}")
+    return cast(FloatArray, _own(array, np.float64))
+
+
+def _usable(vertices: FloatArray, triangles: IntArray, nonfinite: str) -> FloatArray:
+    """The vertices, read-only, with NaN for those that are not finite or too large; "refuse" allows these only where no
+    triangle uses them."""
     if nonfinite not in ("refuse", "skip"):
         raise ValueError(f"nonfinite: expected 'refuse' or 'skip', got {nonfinite!r}")
-    vertices = _own(array, np.float64)
     # NaN comes out of min and max and fails the comparison.
     if vertices.size and not (vertices.min() >= -LARGEST and vertices.max() <= LARGEST):
-        good = all_three(np.abs(vertices) <= LARGEST)
-        if nonfinite == "refuse":
-            bad = int(np.flatnonzero(~good)[0])
+        bad = unusable_vertices(vertices, triangles)
+        if nonfinite == "refuse" and len(bad):
             raise ValueError(
-                f"vertices: expected finite coordinates of at most {LARGEST:g}, got {vertices[bad].tolist()} at vertex "
-                f"{bad} (nonfinite='skip' keeps such a mesh and lets the triangles at such vertices cast nothing)"
+                f"vertices: expected finite coordinates of at most {LARGEST:g}, got {vertices[bad[0]].tolist()} at "
+                f"vertex {bad[0]} (nonfinite='skip' keeps such a mesh and lets the triangles at such vertices cast "
+                "nothing)"
             )
+        good = all_three(np.abs(vertices) <= LARGEST)
         vertices = np.where(good[:, None], vertices, np.nan)
     vertices.setflags(write=False)
     return vertices
@@ -207,16 +223,17 @@ class Scene:
             vertices: (V, 3) real numbers [m]. Copied, unless it is a read-only float64 array that owns its memory.
             triangles: (T, 3) integers from 0 to V - 1; T may be 0. Copied, unless a read-only int32 array likewise.
             pose: (4, 4) rigid transform to the world; identity if None.
-            nonfinite: "refuse" vertices with NaN, infinity or coordinates beyond 1e50, or "skip": the triangles at them
-                cast nothing, and such vertices are stored as NaN.
+            nonfinite: "refuse" triangles at vertices with NaN, infinity or coordinates beyond 1e50, or "skip": such
+                triangles cast nothing. Such vertices are stored as NaN; one that no triangle uses never matters.
 
         Raises:
             ValueError: an argument is malformed; the message names it and the first fault's position.
             BoundsError: the scene would exceed ``bounds.max_triangles``.
         """
         name_of(name, "name")
-        new_vertices = _vertices(vertices, nonfinite)
+        new_vertices = _vertices(vertices)
         new_triangles = _triangles(triangles, len(new_vertices))
+        new_vertices = _usable(new_vertices, new_triangles, nonfinite)
         new_pose = rigid_pose(np.eye(4) if pose is None else pose, "pose")
         new_pose.setflags(write=False)
         totals = self._check_capacity(name, len(new_vertices), len(new_triangles))
@@ -248,17 +265,18 @@ class Scene:
         """Give a mesh new vertex positions, (V, 3) [m], with the triangles it has.
 
         Raises:
-            ValueError: no mesh of that name, another number of vertices, or (unless "skip") a vertex that is not
-                finite.
+            ValueError: no mesh of that name, another number of vertices, or (unless "skip") a triangle at a vertex
+                that is not finite.
         """
         mesh = self[name]
-        new_vertices = _vertices(vertices, nonfinite)
+        new_vertices = _vertices(vertices)
         if len(new_vertices) != len(mesh.vertices):
             raise ValueError(
                 f"vertices: expected {len(mesh.vertices)} as mesh {name!r} has, got {len(new_vertices)}; "
                 "use put() to replace it"
             )
-        self._position(mesh, vertices=new_vertices, vertices_revision=next(_serial))
+        usable = _usable(new_vertices, mesh.triangles, nonfinite)
+        self._position(mesh, vertices=usable, vertices_revision=next(_serial))
 
     def remove(self, name: str) -> None:
         """Remove a mesh. Raises ValueError if there is none of that name."""
