@@ -145,7 +145,7 @@ def _mesh_verdict(inputs: Inputs, settings: Settings, now: float) -> tuple[bytes
         if meshes.received == meshes.refused > 0:
             name, refused = next((name, s.refused) for name, s in meshes.sources.items() if s.refused.text)
             return WARN, (
-                f"no mesh: all {meshes.refused} that came were refused, so that every valid pixel is lit, {refused.text}; "
+                f"no mesh: all {meshes.refused} that came were refused and every valid pixel is lit, {refused.text}; "
                 f"correct the publisher of {inputs.topic(name)}"
             )
         if meshes.received > 0:

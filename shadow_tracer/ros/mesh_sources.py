@@ -8,10 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 from shadow_tracer.ros.cdr import MeshMessage
-from shadow_tracer.ros.clouds import soup_part
+from shadow_tracer.ros.clouds import CLOUD, soup_part
 from shadow_tracer.ros.diagnostics import Complaint, RateMeter, Window
 from shadow_tracer.ros.layouts import Layouts
-from shadow_tracer.ros.markers import count_ignored, marker_changes
+from shadow_tracer.ros.markers import PREFIX, count_ignored, marker_changes
 from shadow_tracer.ros.mesh_files import FilePart, file_parts
 from shadow_tracer.ros.mesh_store import FILES, Changes, MeshStore, Part, PartError
 from shadow_tracer.ros.settings import Settings
@@ -19,7 +19,7 @@ from shadow_tracer.ros.settings import Settings
 MESH_KEY = "mesh"
 TOPICS = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud")
 # How the keys of the parts begin that a topic brings.
-_KEYS = {"mesh": MESH_KEY, "mesh_markers": "markers/", "mesh_marker": "markers/", "mesh_cloud": "cloud"}
+_KEYS = {"mesh": MESH_KEY, "mesh_markers": PREFIX, "mesh_marker": PREFIX, "mesh_cloud": CLOUD}
 
 
 class MeshSource:

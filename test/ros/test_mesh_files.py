@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes from files: found as URDF names them, read whatever wrote them, in metres, and read again only if changed."""
+"""Meshes from files: found as URDF names them, read whatever wrote them, in metres, and read again only if changed.
+
+What stands in the formats has tests beside this one: test_mesh_formats, test_mesh_gltf, test_mesh_collada."""
 
 from __future__ import annotations
 
 import os
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +16,8 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Scene
-from shadow_tracer.ros import mesh_files
-from shadow_tracer.ros.mesh_files import file_parts, load_mesh_file, locate
+from shadow_tracer.ros.mesh_files import file_parts, load_mesh_file, loading, locate
+from shadow_tracer.ros.mesh_sources import MeshSources
 from shadow_tracer.ros.mesh_store import Changes, MeshStore, Part, PartError
 
 trimesh = pytest.importorskip("trimesh", reason="needs trimesh: pip install 'shadow_tracer[mesh]'")
@@ -62,7 +65,8 @@ def test_a_file_that_refers_to_others(tmp_path: Path) -> None:
 def test_polygons_become_triangles_and_lines_nothing(tmp_path: Path) -> None:
     path = tmp_path / "mixed.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nf 1 2 3 4\nl 1 5\nusemtl other\nf -1 -4 -5\n")
-    vertices, triangles = load_mesh_file(str(path), 0.0)
+    with pytest.warns(UserWarning, match=r"mixed.obj: left out, as it casts no shadow: lines \(1\)$"):
+        vertices, triangles = load_mesh_file(str(path), 0.0)
     space = vertices[triangles]
     areas = np.linalg.norm(np.cross(space[:, 1] - space[:, 0], space[:, 2] - space[:, 0]), axis=1) / 2
     np.testing.assert_allclose(areas, 0.5)
@@ -249,25 +253,34 @@ def ply(vertices: str, faces: str) -> str:
 @pytest.mark.parametrize(
     ("name", "content", "text"),
     [
-        ("empty.stl", "", "empty.stl has no triangles$"),
+        ("empty.stl", "", "cannot read .*empty.stl: it is neither text .* nor binary: it has 0 bytes"),
         ("empty.obj", "", "empty.obj has no triangles$"),
-        ("empty.ply", "", "trimesh cannot read .*empty.ply: "),
-        ("empty.glb", "", "trimesh cannot read .*empty.glb: "),
-        ("points.xyz", "1 2 3\n4 5 6\n", "points.xyz has no triangles, only PointCloud$"),
-        ("points.obj", "v 1 2 3\nv 4 5 6\n", "points.obj has no triangles"),
-        ("mesh.blend", "BLENDER", "trimesh cannot read .*mesh.blend: .*blend'? not supported"),
-        ("mesh", "solid", "trimesh cannot read "),
-        ("mesh.glb", b"\xff" * 300, "trimesh cannot read .*mesh.glb: "),
-        ("mesh.zip", b"PK\x03\x04" + bytes(100), "trimesh cannot read .*mesh.zip: "),
-        ("mesh.obj", "v 0 0 0\nv 1 0 0\nf 1 2 3\n", "trimesh cannot read .*mesh.obj: IndexError"),
+        ("empty.ply", "", "cannot read .*empty.ply: it does not begin with a line 'ply'"),
+        ("empty.off", "", "cannot read .*empty.off: it does not begin with OFF"),
+        ("empty.glb", "", "cannot read .*empty.glb: it is no glTF"),
+        ("empty.dae", "", "cannot read .*empty.dae: it is no XML"),
+        ("empty.3mf", "", "cannot read .*empty.3mf: it is no 3MF"),
+        ("points.xyz", "1 2 3\n4 5 6\n", r"points.xyz has no triangles, only PointCloud \(1\)$"),
+        ("points.obj", "v 1 2 3\nv 4 5 6\n", "points.obj has no triangles$"),
+        ("mesh.blend", "BLENDER", "cannot read .*mesh.blend: trimesh cannot read it: .*blend'? not supported"),
+        ("mesh", "solid", "cannot read .*: trimesh cannot read it"),
+        ("mesh.glb", b"\xff" * 300, "cannot read .*mesh.glb: it is no glTF"),
+        ("mesh.zip", b"PK\x03\x04" + bytes(100), "cannot read .*mesh.zip: it is an archive; unpack it"),
+        ("mesh.dae.gz", b"\x1f\x8b", "cannot read .*mesh.dae.gz: it is an archive; unpack it"),
+        (
+            "mesh.obj",
+            "v 0 0 0\nv 1 0 0\nf 1 2 3\n",
+            "cannot read .*mesh.obj: it has vertex indices from 0 to 2, counted from 0, but 2 vertices",
+        ),
         (
             "nan.obj",
             "v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n",
             r"vertex 1 of .* is \[1.0, nan, 0.0\] m; expected",
         ),
         ("huge.obj", "v 0 0 0\nv 1 0 0\nv 0 1e51 0\nf 1 2 3\n", r"vertex 2 of .* at most 1e\+50 m"),
-        ("index.ply", ply("0 0 0\n1 0 0\n0 1 0", "3 0 1 7"), "has vertex indices from 0 to 7, but .* has 3 vertices"),
-        ("index.ply", ply("0 0 0\n1 0 0\n0 1 0", "3 0 1 -1"), "has vertex indices from -1 to 1, but"),
+        ("index.ply", ply("0 0 0\n1 0 0\n0 1 0", "3 0 1 7"), "it has vertex indices from 0 to 7, .* but 3 vertices"),
+        ("index.ply", ply("0 0 0\n1 0 0\n0 1 0", "3 0 1 -1"), "it has vertex indices from -1 to 1,"),
+        ("flat.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\n", r"every triangle of .* zero area \(2 of them\)"),
     ],
 )
 def test_files_that_are_no_mesh(tmp_path: Path, name: str, content: str | bytes, text: str) -> None:
@@ -279,7 +292,7 @@ def test_files_that_are_no_mesh(tmp_path: Path, name: str, content: str | bytes,
 
 def test_a_point_cloud_in_a_mesh_format(tmp_path: Path) -> None:
     trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
-    with pytest.raises(PartError, match="points.ply has no triangles, only PointCloud"):
+    with pytest.raises(PartError, match="points.ply has no triangles$"):
         load_mesh_file(str(tmp_path / "points.ply"), 0.0)
 
 
@@ -296,25 +309,65 @@ def test_damaged_files(tmp_path: Path, kind: str) -> None:
             data[rng.integers(0, len(data) or 1) : rng.integers(0, len(data) + 1)] = rng.bytes(rng.integers(0, 8))
         path.write_bytes(data[: 2 * len(whole)])
         try:
-            Scene().put("mesh", *load_mesh_file(str(path), 0.0))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                Scene().put("mesh", *load_mesh_file(str(path), 0.0))
         except PartError as error:
             refused += 1
             assert str(error).startswith("mesh.files: ") and path.name in str(error)
     assert refused > 10
 
 
-def test_without_trimesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kind", ["stl", "ply", "glb"])
+def test_files_that_are_cut_short(tmp_path: Path, kind: str) -> None:
+    """Every beginning of a file with counts is refused, never taken for a smaller mesh."""
+    path = tmp_path / f"box.{kind}"
+    box().export(path)
+    whole = path.read_bytes()
+    for length in range(0, len(whole), 7):
+        path.write_bytes(whole[:length])
+        with pytest.raises(PartError, match="^mesh.files: cannot read"):
+            load_mesh_file(str(path), 0.0)
+
+
+def test_vertices_that_no_triangle_uses_may_be_anything(tmp_path: Path) -> None:
+    path = tmp_path / "loose.obj"
+    path.write_text("v nan 0 0\n" + _TRIANGLE.replace("f 1 2 3", "v 0 0 -inf\nv 1e60 0 0\nf 2 3 4"))
+    vertices, triangles = load_mesh_file(str(path), 0.0)
+    assert triangles.tolist() == [[1, 2, 3]] and len(vertices) == 6
+    store = MeshStore(10)
+    store.commit(Changes(file_parts([str(path)], 0.0)), 1)
+    assert len(Scene().put("mesh", vertices, triangles).triangles) == 1
+
+
+def test_what_trimesh_is_needed_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "box.obj").write_text(_TRIANGLE)
+    (tmp_path / "box.xyz").write_text("0 0 0\n")
+    box().export(tmp_path / "plain.glb")
+    mesh = box()
+    mesh.units = "mm"
+    mesh.export(tmp_path / "units.glb")
     monkeypatch.setitem(sys.modules, "trimesh", None)
+    monkeypatch.setitem(sys.modules, "trimesh.units", None)
     with pytest.raises(PartError, match=r"^mesh.files: .*needs trimesh: pip install 'shadow_tracer\[mesh\]'"):
-        load_mesh_file(str(tmp_path / "box.obj"), 0.0)
+        load_mesh_file(str(tmp_path / "box.xyz"), 0.0)
+    with pytest.raises(
+        PartError, match=r"^mesh.files: .*states its units as \['mm'\], which needs trimesh: pip install"
+    ):
+        load_mesh_file(str(tmp_path / "units.glb"), 0.0)
+    assert len(load_mesh_file(str(tmp_path / "units.glb"), 0.001)[1]) == 12
+    assert len(load_mesh_file(str(tmp_path / "plain.glb"), 0.0)[1]) == 12
+    assert len(load_mesh_file(str(tmp_path / "box.obj"), 0.0)[1]) == 1
 
 
 def test_without_what_trimesh_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "networkx", None)
-    (tmp_path / "box.3mf").write_bytes(b"PK")
-    with pytest.raises(PartError, match=r"^mesh.files: .*another package: .*networkx.*pip install 'trimesh\[easy\]'"):
-        load_mesh_file(str(tmp_path / "box.3mf"), 0.0)
+    def load(*_: Any, **__: Any) -> None:
+        raise ImportError("No module named 'cascadio'")
+
+    monkeypatch.setattr(trimesh, "load", load)
+    (tmp_path / "box.step").write_bytes(b"ISO-10303-21;")
+    with pytest.raises(PartError, match=r"^mesh.files: .*another package: .*cascadio.*pip install 'trimesh\[easy\]'"):
+        load_mesh_file(str(tmp_path / "box.step"), 0.0)
 
 
 # Parts.
@@ -324,8 +377,8 @@ def test_without_what_trimesh_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The names of all files that are read from now on."""
     seen: list[str] = []
-    original = mesh_files._read
-    monkeypatch.setattr(mesh_files, "_read", lambda path: seen.append(path.name) or original(path))
+    original = loading._read
+    monkeypatch.setattr(loading, "_read", lambda path: seen.append(path.name) or original(path))
     return seen
 
 
@@ -375,6 +428,18 @@ def test_a_file_that_is_listed_twice_is_read_once(tmp_path: Path, reads: list[st
     parts = file_parts([str(tmp_path / "a.obj")] * 2, 1.0)
     assert reads == ["a.obj"] and [part.key for part in parts] == ["files/0", "files/1"]
     assert parts[0].vertices is parts[1].vertices
+
+
+def test_parts_say_what_their_files_hold_besides(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text(_TRIANGLE + "l 1 2\n")
+    (tmp_path / "b.obj").write_text(_TRIANGLE)
+    names = [str(tmp_path / "a.obj"), str(tmp_path / "b.obj"), str(tmp_path / "a.obj")]
+    first = file_parts(names, 1.0)
+    assert [part.left_out.rpartition(": ")[2] for part in first] == ["lines (1)", "", "lines (1)"]
+    assert [part.left_out for part in file_parts(names, 1.0, first)] == [part.left_out for part in first]
+    sources = MeshSources(10)
+    sources.store.commit(Changes(first), 1)
+    assert sources.left_out == (f"{names[0]}: left out, as it casts no shadow: lines (1)",)
 
 
 def test_one_bad_file_refuses_all(tmp_path: Path) -> None:

@@ -19,9 +19,8 @@ def read_stl(path: Path) -> Content:
     """All facets of all solids. Raises ReadError if the file is cut short, or holds more than it says."""
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little") if len(data) >= _HEAD else -1
-    if len(data) != _HEAD + count * _TRIANGLE and data.lstrip()[:5].lower() == b"solid":
-        # Also binary files may begin with "solid": then their size fits.
-        return _text(data)
+    if data.lstrip()[:5].lower() == b"solid" and b"\0" not in data[: 2 * _HEAD]:
+        return _text(data)  # binary files may begin with that word too, but they have zero bytes
     if count < 0:
         raise ReadError(f"it is neither text that begins with 'solid' nor binary: it has {len(data)} bytes; {_CURE}")
     whole, left = divmod(len(data) - _HEAD, _TRIANGLE)
