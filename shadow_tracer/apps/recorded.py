@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from shadow_tracer.apps import autolight
 from shadow_tracer.apps.sequence import View
+from shadow_tracer.ros.mesh_files import load_mesh_file
+from shadow_tracer.ros.mesh_store import PartError
 from shadow_tracer.scene.camera import Camera
 
-MESH_ENDINGS = (".npz", ".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
+MESH_ENDINGS = (".npz", ".ply", ".obj", ".stl", ".glb", ".gltf", ".off", ".dae", ".3mf")
 GREY = 165
 
 
@@ -153,18 +155,14 @@ def find_mesh(folder: Path, mesh: Path | None) -> Path:
 
 
 def load_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """(V, 3) vertices [m] and (T, 3) triangles of an .npz with these two arrays, or of any file trimesh reads."""
+    """(V, 3) vertices [m] and (T, 3) triangles of an .npz with these two arrays, or of a file as for
+    ``mesh.files``. Raises ValueError."""
     if path.suffix.lower() == ".npz":
         with np.load(path) as arrays:
             if "vertices" not in arrays or "triangles" not in arrays:
                 raise ValueError(f"mesh: {path} must hold the arrays vertices and triangles, got {sorted(arrays)}")
             return arrays["vertices"].astype(np.float64), arrays["triangles"].astype(np.int32)
     try:
-        import trimesh
-    except ImportError as error:
-        raise RuntimeError(f"reading {path.name} needs trimesh: pip install 'shadow_tracer[mesh]'") from error
-    loaded: Any = trimesh.load(path, force="mesh", process=False)
-    vertices, triangles = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32)
-    if len(triangles) == 0:
-        raise ValueError(f"mesh: {path} holds no triangles")
-    return vertices, triangles
+        return load_mesh_file(str(path), 0.0)
+    except PartError as error:
+        raise ValueError(f"mesh: {str(error).removeprefix('mesh.files: ')}") from error

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from shadow_tracer.ros.inputs import Inputs
 
 _SILENT = 3.0  # seconds after which an input counts as silent
-_LIT = "what it should cover is lit"
+_IT, _THEY = "and it casts no shadow", "and they cast no shadow"
 _MUCH = 0.1  # share of images that the transport may lose before it is said
 
 Verdict = tuple[bytes, str, dict[str, Any]]
@@ -124,17 +124,13 @@ def _mesh_verdict(inputs: Inputs, settings: Settings, now: float) -> tuple[bytes
         return ERROR, mismatch
     for name, source in meshes.sources.items():
         if source.refused.recent(now):
-            kept = "the last good one stays" if meshes.in_force(name) else f"there is no earlier one: {_LIT}"
-            return (
-                ERROR,
-                f"{name} refused, {source.refused.text}; {kept}; correct the publisher of {inputs.topic(name)}",
-            )
+            kept = "the last good one stays" if meshes.in_force(name) else f"there is no earlier one, {_IT}"
+            text = f"{source.refused.text}; {kept}; correct the publisher of {inputs.topic(name)}"
+            return ERROR, f"{name} refused, {text}"
     if meshes.files:
         loaded = any(key.startswith(FILES) for key in store.parts)
-        return (
-            ERROR,
-            f"{meshes.files}; correct mesh.files, {'the others stay' if loaded else f'none is loaded: {_LIT}'}",
-        )
+        kept = "the others stay" if loaded else f"none is loaded, {_THEY}"
+        return ERROR, f"{meshes.files}; correct mesh.files, {kept}"
     slow = next(filter(None, meshes.layouts.reasons.values()), "")
     if slow:
         return WARN, f"{slow}; please report your ROS distribution"

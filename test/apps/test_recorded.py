@@ -73,13 +73,15 @@ def test_mesh_is_found_beside_the_folder(folder: Path) -> None:
     assert len(FolderSequence(folder).triangles) == 4
 
 
-def test_mesh_files_are_read_by_trimesh_too(folder: Path) -> None:
-    pytest.importorskip("trimesh")
+def test_mesh_files_are_read_as_by_the_node(folder: Path) -> None:
     vertices, triangles = recorded.load_mesh(folder / "mesh.npz")
     lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in triangles + 1]
     (folder.parent / "room.obj").write_text("\n".join(lines))
     again, same = recorded.load_mesh(folder.parent / "room.obj")
     assert np.array_equal(again[same], vertices[triangles])
+    (folder.parent / "room.obj").write_text("\n".join(lines[:-1]) + "\nf 1 2 99\n")
+    with pytest.raises(ValueError, match="^mesh: cannot read .*room.obj: it has vertex indices"):
+        recorded.load_mesh(folder.parent / "room.obj")
 
 
 def without(name: str):  # type: ignore[no-untyped-def]

@@ -96,6 +96,18 @@ def test_one_bad_vertex_takes_only_its_own_triangles(tracer: Any, bad: float, co
     np.testing.assert_array_equal(healed, _ask(tracer))
 
 
+def test_bad_vertices_that_no_triangle_uses(tracer: Any) -> None:
+    """No pipeline looks at them, wherever they stand in the list, and none has to be asked to skip them."""
+    vertices, triangles = geometry.icosphere(2, 1.0)
+    tracer.scene.put("mesh", vertices, triangles)
+    expected = _ask(tracer)
+    bad = np.array([(np.nan, 0, 0), (0, np.inf, 0), (0, 0, -1e60)])
+    tracer.scene.put("mesh", np.concatenate([bad, vertices, bad]), triangles + 3)
+    np.testing.assert_array_equal(_ask(tracer), expected)
+    tracer.scene.deform("mesh", np.concatenate([bad[::-1], vertices, bad]))
+    np.testing.assert_array_equal(_ask(tracer), expected)
+
+
 def test_bad_vertices_under_a_pose(tracer: Any) -> None:
     """NaN and infinity stay without effect when the pose mixes the coordinates."""
     rng = np.random.default_rng(42)

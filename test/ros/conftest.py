@@ -19,6 +19,7 @@ WITHOUT_ROS = {
     "test_cdr_markers.py",
     "test_clouds.py",
     "test_frame_queue.py",
+    "test_health_inputs.py",
     "test_launch.py",
     "test_markers.py",
     "test_mesh_collada.py",

@@ -92,9 +92,22 @@ def test_index_out_of_range_is_located() -> None:
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_coordinates_that_are_not_finite_are_located(value: float) -> None:
     points, corners = sample()
+    corners[1, 2] = 4
     points[4, 2] = value
     with pytest.raises(MeshMessageError, match="coordinate z of vertex 4"):
         parse_mesh(encode_mesh(points, corners), 100)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
+def test_a_vertex_that_no_triangle_uses_may_be_anything(value: float) -> None:
+    points, corners = sample()
+    corners[corners == 4] = 3
+    points[4, 2] = value
+    mesh = parse_mesh(encode_mesh(points, corners), 100)
+    np.testing.assert_array_equal(mesh.vertices, points)
+    points[4, 2], points[corners[0, 0], 1] = 0.0, value  # known triangles are asked as well
+    with pytest.raises(MeshMessageError, match=f"coordinate y of vertex {corners[0, 0]} is"):
+        parse_mesh(encode_mesh(points, corners), 100, mesh)
 
 
 def test_coordinates_that_no_scene_takes_are_located() -> None:

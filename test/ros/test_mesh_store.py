@@ -90,7 +90,10 @@ def test_changes_clear_then_remove_then_put(store: MeshStore) -> None:
             Part("far", frozen([[0, 0, 0], [0, 0, 1], [0, 2e50, 0]], np.float64), soup_triangles(1)),
             "vertices: expected",
         ),
-        (Part("nan", frozen([[0, 0, 0], [0, 0, 1], [0, np.nan, 0]], np.float64), soup_triangles(1)), "got nan to nan"),
+        (
+            Part("nan", frozen([[0, 0, 0], [0, 0, 1], [0, np.nan, 0]], np.float64), soup_triangles(1)),
+            "got [0.0, nan, 0.0] at vertex 2 of nan",
+        ),
     ],
     ids=["triangles", "vertices", "coordinates", "nan"],
 )
@@ -104,6 +107,19 @@ def test_what_does_not_fit_is_refused_whole(store: MeshStore, part: Part, messag
     replacing = soup("mesh", 100)
     store.commit(Changes((replacing,)), 6 * SECOND)  # what it replaces does not count
     assert store.parts["mesh"] is replacing
+
+
+def test_a_vertex_that_no_triangle_uses_may_be_anything(store: MeshStore, scene: Scene) -> None:
+    """Also when it is deformed, and no longer when other triangles use it."""
+    triangles = soup_triangles(1)
+    for k, value in enumerate((np.nan, np.inf, 1e60)):
+        corners = frozen([[0, 0, k], [0, 0, 1 + k], [0, 1, 0], [value, 0, 0]], np.float64)
+        store.commit(Changes((Part("mesh", corners, triangles),)), 0)
+        store.update(scene, Places(), "")
+        assert np.isnan(scene["mesh"].vertices[3]).all() and scene["mesh"].vertices[1, 2] == 1 + k
+    assert store.updates == {"put": 1, "deform": 2, "move": 0}
+    with pytest.raises(PartError, match="at vertex 3 of mesh"):
+        store.commit(Changes((Part("mesh", corners, frozen([[0, 1, 3]], np.int32)),)), 0)
 
 
 def test_only_what_differs_reaches_the_scene(store: MeshStore, scene: Scene) -> None:

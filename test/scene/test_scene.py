@@ -236,6 +236,24 @@ def test_world_vertices_in_this_order_of_operations() -> None:
     np.testing.assert_array_equal(scene["room"].world_vertices(), expected)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e60])
+def test_a_vertex_that_no_triangle_uses_may_be_anything(value: float) -> None:
+    """It is stored as NaN and cannot matter; as soon as a triangle uses it, it is refused as before."""
+    scene = Scene()
+    vertices = np.array([*_VERTICES, (value, 0, 0)])
+    scene.put("room", vertices, _TRIANGLES)
+    assert np.isnan(scene["room"].vertices[4]).all() and scene["room"].degenerate_count == 0
+    np.testing.assert_array_equal(scene["room"].vertices[:4], _VERTICES)
+    scene.deform("room", vertices + (0.0, 0.0, 1.0))
+    before = _fingerprint(scene)
+    with pytest.raises(ValueError, match=r"^vertices: .* at vertex 4 \(nonfinite='skip'"):
+        scene.put("room", vertices, [*_TRIANGLES, [0, 1, 4]])
+    with pytest.raises(ValueError, match="^vertices: .* at vertex 0 "):
+        scene.deform("room", vertices[::-1])
+    assert _fingerprint(scene) == before
+    scene.put("points", np.full((2, 3), value), np.zeros((0, 3), int))
+
+
 def test_degenerate_count() -> None:
     vertices = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0), (np.nan, 0, 0), (0, 0, 0)]
     scene = Scene()
