@@ -91,8 +91,8 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("mesh.max_age", DOUBLE, 0.0,
               "A mesh received longer ago than this is stale and the mask says unknown; 0 never.", "s", 0.0, 1e6),
     Parameter("mesh.files", STRINGS, ("",),
-              "Mesh files in mesh.frame (STL, OBJ, PLY, OFF, glTF, COLLADA, 3MF and more), their axes as written: paths, "
-              "file:// or package://<package>/...; [''] is none."),
+              "Mesh files in mesh.frame (STL, OBJ, PLY, OFF, glTF, COLLADA, 3MF and more), their axes as written: "
+              "paths, file:// or package://<package>/...; [''] is none."),
     Parameter("mesh.files_scale", DOUBLE, 0.0,
               "Length of a file's unit; 0 takes the unit that is written in the file, or metres.", "m", 0.0, 1e6),
     Parameter("occluders", STRING, "mesh",

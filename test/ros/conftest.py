@@ -23,6 +23,7 @@ WITHOUT_ROS = {
     "test_launch.py",
     "test_markers.py",
     "test_mesh_collada.py",
+    "test_mesh_damage.py",
     "test_mesh_file_data.py",
     "test_mesh_files.py",
     "test_mesh_formats.py",

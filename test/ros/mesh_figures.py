@@ -88,11 +88,14 @@ class Gltf:
         self.root["extensionsUsed"] = self.root["extensionsRequired"] = list(names)
 
     def write(self, path: Path) -> Path:
+        path.write_bytes(self.bytes())
+        return path
+
+    def bytes(self) -> bytes:
         self.root["buffers"] = [{"byteLength": len(self.blob)}]
         text = json.dumps(self.root).encode()
         text += b" " * (-len(text) % 4)
         blob = self.blob + b"\0" * (-len(self.blob) % 4)
         head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(blob))
         chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
-        path.write_bytes(head + chunks)
-        return path
+        return head + chunks

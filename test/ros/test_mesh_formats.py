@@ -349,6 +349,7 @@ def test_off_with_a_concave_polygon_and_a_line(write: Write) -> None:
         (f"OFF\n4 1 0\n{ROWS}3 0 1 -1\n", "from -1 to 1"),
         (f"OFF\n4 1 0\n{ROWS}3 0 1 a\n", "does not hold the numbers"),
         ("OFF\n4\n", "expected the counts"),
+        ("OFF\n6 1 0\n" + "0 1\n" * 6 + "3 0 1 2\n", "a vertex has fewer than three coordinates"),
         ("OFFSET\n4 1 0\n", "does not begin with OFF"),
     ],
 )

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +70,17 @@ class Collector:
         vertices = np.concatenate([np.zeros((0, 3)), *self.vertices])
         triangles = np.concatenate([np.zeros((0, 3), np.int64), *self.triangles])
         return Content(vertices, triangles, left_out, unit, stated)
+
+
+def parse_numbers(words: Sequence[str], dtype: Any) -> npt.NDArray[Any]:
+    """Numbers of words without white space in them. Raises ValueError or OverflowError if one is no number."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            numbers = np.fromstring(" ".join(words), dtype, sep=" ")  # many times as fast, but it stops at a fault
+    except (ValueError, DeprecationWarning):
+        return np.array(words, dtype)
+    return numbers if len(numbers) == len(words) else np.array(words, dtype)
 
 
 def check_indices(indices: npt.NDArray[np.integer], count: int, what: str = "it") -> None:

@@ -5,11 +5,20 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from shadow_tracer.ros.mesh_files.content import Content, FloatArray, ReadError, check_indices, counted
+from shadow_tracer.ros.mesh_files.content import (
+    Content,
+    FloatArray,
+    IntArray,
+    ReadError,
+    check_indices,
+    counted,
+    parse_numbers,
+)
 from shadow_tracer.ros.mesh_files.polygons import triangulate
 
 # Statements that describe a surface in another way, or bring in what stands elsewhere.
@@ -28,21 +37,18 @@ def read_obj(path: Path) -> Content:
             no polygons.
     """
     text = path.read_bytes().decode("utf-8-sig", errors="replace")
-    positions: list[list[str]] = []
-    corners: list[int] = []
-    counts: list[int] = []
+    positions: list[str] = []
+    faces = _Faces()
     besides: Counter[str] = Counter()
     for number, words in _statements(text):
         word = words[0]
         if word == "v":
             if len(words) < 4:
                 raise ReadError(f"line {number}: expected three coordinates, got {' '.join(words)!r}")
-            positions.append(words[1:4])
+            positions += words[1:4]
         elif word in ("f", "fo"):
-            face = [_index(corner, len(positions), number) for corner in words[1:]]
-            if len(face) > 2:
-                corners += face
-                counts.append(len(face))
+            if len(words) > 3:
+                faces.add(words, len(positions) // 3, number)
             else:
                 besides["faces with fewer than 3 corners"] += 1
         elif word in _SURFACES:
@@ -52,48 +58,77 @@ def read_obj(path: Path) -> Content:
         elif word not in _HARMLESS:
             raise ReadError(f"line {number}: {word[:40]!r} is no statement of OBJ; write the file again")
     vertices = _positions(positions)
-    flat = np.array(corners, np.int64)
-    check_indices(flat, len(vertices))
-    triangles = triangulate(vertices, flat, np.array(counts, np.int64))
-    return Content(vertices, triangles, counted(besides))
+    corners = faces.indices()
+    check_indices(corners, len(vertices))
+    return Content(vertices, triangulate(vertices, corners, np.array(faces.counts, np.int64)), counted(besides))
 
 
-def _statements(text: str) -> list[tuple[int, list[str]]]:
+def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
     """Words of each statement without its comment, and the line at which it begins."""
-    found, begin, pending = [], 0, ""
-    for number, line in enumerate(re.split("\r\n|\n|\r", text), 1):
-        line = line.partition("#")[0].rstrip()
-        begin = begin or number
-        if line.endswith("\\"):
-            pending += line[:-1] + " "
+    begin, pending = 0, ""
+    for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
+        if "#" in line:
+            line = line.partition("#")[0]
+        if "\\" in line and line.rstrip().endswith("\\"):
+            begin, pending = begin or number, pending + line.rstrip()[:-1] + " "
             continue
-        words = (pending + line).split()
+        if pending:
+            line = pending + line
+        words = line.split()
         if words:
-            found.append((begin, words))
+            yield begin or number, words
         begin, pending = 0, ""
     if pending.split():
         raise ReadError(f"line {begin}: the file ends within a statement")
-    return found
 
 
-def _index(corner: str, so_far: int, line: int) -> int:
-    """Index from 0 of a corner such as ``7/1/2`` or ``-1//3``; relative ones count back from the last vertex above."""
+class _Faces:
+    """Corners as they are written, such as ``7/1/2`` or ``-1//3``, until all faces are known."""
+
+    def __init__(self) -> None:
+        self.counts: list[int] = []
+        self._corners: list[str] = []
+        self._above: list[int] = []  # vertices above each face, from which relative indices count back
+        self._lines: list[int] = []
+
+    def add(self, words: list[str], above: int, line: int) -> None:
+        self._corners += words[1:]
+        self.counts.append(len(words) - 1)
+        self._above.append(above)
+        self._lines.append(line)
+
+    def indices(self) -> IntArray:
+        """Indices from 0 of the corners of all faces."""
+        corners = self._corners
+        if any("/" in corner for corner in corners):
+            corners = [corner.partition("/")[0] for corner in corners]
+        try:
+            written = parse_numbers(corners, np.int64)
+        except (ValueError, OverflowError):
+            k = next(k for k, corner in enumerate(corners) if not re.fullmatch(r"[-+]?\d{1,18}", corner))
+            raise ReadError(f"line {self._line(k)}: expected the index of a vertex, got {self._corners[k]!r}") from None
+        above = np.repeat(np.array(self._above, np.int64), self.counts)
+        wrong = np.flatnonzero((written == 0) | (written < -above))
+        if len(wrong):
+            k = int(wrong[0])
+            raise ReadError(
+                f"line {self._line(k)}: index {written[k]} leads to no vertex; {above[k]} stand above it, counted "
+                "from 1"
+            )
+        return np.where(written > 0, written - 1, above + written)
+
+    def _line(self, corner: int) -> int:
+        return self._lines[int(np.searchsorted(np.cumsum(self.counts), corner, side="right"))]
+
+
+def _positions(words: list[str]) -> FloatArray:
     try:
-        index = int(corner.partition("/")[0])
+        return parse_numbers(words, np.float64).reshape(-1, 3)
     except ValueError:
-        raise ReadError(f"line {line}: expected the index of a vertex, got {corner!r}") from None
-    if index == 0 or index < -so_far:
-        raise ReadError(f"line {line}: index {index} leads to no vertex; {so_far} stand above it, counted from 1")
-    return index - 1 if index > 0 else so_far + index
-
-
-def _positions(words: list[list[str]]) -> FloatArray:
-    try:
-        return np.array(words, np.float64).reshape(-1, 3)
-    except ValueError:
-        for number, row in enumerate(words, 1):
+        for k, word in enumerate(words):
             try:
-                [float(word) for word in row]
+                float(word)
             except ValueError:
-                raise ReadError(f"vertex {number} (counted from 1): expected three numbers, got {row}") from None
+                row = words[k - k % 3 : k - k % 3 + 3]
+                raise ReadError(f"vertex {k // 3 + 1} (counted from 1): expected three numbers, got {row}") from None
         raise

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shadow_tracer.ros.mesh_files.content import Content, ReadError, check_indices, counted
+from shadow_tracer.ros.mesh_files.content import Content, ReadError, check_indices, counted, parse_numbers
 from shadow_tracer.ros.mesh_files.polygons import triangulate
 
 _KEYWORD = re.compile(r"\s*(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z])")
@@ -36,8 +36,11 @@ def read_off(path: Path) -> Content:
             f"{vertex_count} vertices and {face_count} faces need a line each, but {len(rows)} lines follow; "
             "write the file again"
         )
+    if any(len(row) < 3 for row in rows[:vertex_count]):
+        raise ReadError("a vertex has fewer than three coordinates")
     try:
-        vertices = np.array([row[:3] for row in rows[:vertex_count]], np.float64).reshape(-1, 3)
+        positions = [word for row in rows[:vertex_count] for word in row[:3]]
+        vertices = parse_numbers(positions, np.float64).reshape(-1, 3)
         faces = [[int(word) for word in row[1 : 1 + int(row[0])]] for row in rows[vertex_count:]]
         wrong = next((k for k, face in enumerate(faces) if len(face) != int(rows[vertex_count + k][0])), None)
     except ValueError as error:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.ros.mesh_files.content import IntArray, ReadError
+from shadow_tracer.ros.mesh_files.content import IntArray, ReadError, parse_numbers
 
 _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d"}
 _LONG = 1000  # values of a list; numpy cannot make records of any size
@@ -166,7 +166,7 @@ class TextBody:
 
 def _numbers(name: str, words: list[str], kind: str) -> npt.NDArray[Any]:
     try:
-        return np.array(words, np.float64 if kind.startswith("f") else np.int64)
+        return parse_numbers(words, np.float64 if kind.startswith("f") else np.int64)
     except (ValueError, OverflowError) as error:
         raise ReadError(f"element {name!r} does not hold the numbers that the header names: {error}") from error
 

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.ros.mesh_files.content import FloatArray, IntArray, ReadError
+from shadow_tracer.ros.mesh_files.content import FloatArray, IntArray, ReadError, parse_numbers
 
 Element = ElementTree.Element
 
@@ -38,7 +38,7 @@ def integers(text: str | None, what: str) -> IntArray:
 
 def _numbers(text: str | None, dtype: Any, what: str, count: int | None) -> npt.NDArray[Any]:
     try:
-        numbers = np.array((text or "").split(), dtype)
+        numbers = parse_numbers((text or "").split(), dtype)
     except (ValueError, OverflowError) as error:
         raise ReadError(f"{what}: expected numbers: {error}") from error
     if count is not None and len(numbers) != count:
