@@ -147,6 +147,21 @@ def test_holes() -> None:
         triangulate_rings(space, [np.arange(4), np.array([4, 5])], "the wall")
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.1])
+def test_corners_on_a_line_keep_their_edges_beside_holes(angle: float) -> None:
+    """A neighbour may have a corner in the middle of a straight side: no gap of rounding may open there."""
+    outline = [(3, 4), (4, 4), (4, 3), (5, 3), (6, 3), (6, 4), (7, 4), (7, 5), (7, 6), (7, 7), (6, 7), (5, 7), (4, 7)]
+    outline += [(3, 7), (3, 6), (3, 5)]
+    hole = [(5, 5), (5, 6), (6, 6), (6, 5)]
+    turn = np.array([(np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle))])
+    space = np.insert(np.array(outline + hole, float) @ turn, 1, 0.0, axis=1)
+    triangles = triangulate_rings(space, [np.arange(16), np.arange(16, 20)], "the wall")
+    assert len(triangles) == 16 + 4 - 2 + 2
+    around = [(k, (k + 1) % 16) for k in range(16)] + [(16 + k, 16 + (k + 1) % 4) for k in range(4)]
+    assert edges(triangles) == sorted(around) or edges(triangles) == sorted((b, a) for a, b in around)
+    assert np.linalg.norm(normals(space, triangles), axis=1).sum() == pytest.approx(13.0)
+
+
 def test_far_away_and_of_any_size() -> None:
     flat = np.array([(0, 0), (4, 0), (4, 3), (3, 3), (3, 1), (1, 1), (1, 3), (0, 3)], float)
     for scale in (1e-9, 1e12, 1e40):
