@@ -41,7 +41,7 @@ setup(
         # ROS 2 Jazzy from wheels (x86_64, glibc 2.28 or newer). Beside an installed ROS 2 leave this extra out.
         "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1.6,<7.2", "ros-jazzy-common-interfaces>=5.3.6,<5.4"],
         # mesh.files of the node: concave polygons, and formats that have no reader here.
-        "mesh": ["mapbox-earcut>=1.0.1", "trimesh>=4.4"],
+        "mesh": ["mapbox-earcut>=1.0.3", "trimesh>=4.4"],
         # Lights of type sun.
         "sun": ["ephem>=4.1.5"],
         # `shadow_tracer bag` on recordings, without ROS.
@@ -49,7 +49,7 @@ setup(
         "demo": ["pillow>=10.3", "rich>=13.7"],
         "benchmark": ["embreex>=2.17.7", "matplotlib>=3.8", "pillow>=10.3", "rich>=13.7", "trimesh>=4.4"],
         # DracoPy is optional to mesh.files: only Draco-compressed glTF needs it.
-        "test": ["DracoPy>=1.4", "pillow>=10.3", "pytest>=8.2", "pytest-xdist>=3.6", "pyyaml>=6.0", "setuptools>=64"],
+        "test": ["DracoPy>=1.5", "pillow>=10.3", "pytest>=8.2", "pytest-xdist>=3.6", "pyyaml>=6.0", "setuptools>=64"],
         # Upper bounds: a new release of these may find new faults in old code.
         "dev": ["build>=1.2", "mypy>=2.4,<2.5", "pre-commit>=4.0", "ruff>=0.17,<0.18"],
     },

@@ -109,7 +109,7 @@ def check_coordinates(
     Raises:
         MeshMessageError: locates the first bad one.
     """
-    rows = unusable_vertices(vertices, np.arange(len(vertices)) if triangles is None else triangles)
+    rows = unusable_vertices(vertices, triangles)
     if not len(rows):
         return
     bad = 3 * int(rows[0]) + int(np.flatnonzero(~(np.abs(vertices[rows[0]]) <= LARGEST))[0])

@@ -98,15 +98,23 @@ def finite(value: Any, field: str) -> float:
     return number
 
 
-def unusable_vertices(vertices: FloatArray, triangles: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.intp]:
-    """Vertices, (V, 3), that are not finite or beyond :data:`LARGEST` and that a triangle, (T, 3), uses; the first one
-    first. What no triangle uses cannot matter to any shadow.
+def unusable_vertices(
+    vertices: FloatArray, triangles: npt.NDArray[np.integer[Any]] | None = None
+) -> npt.NDArray[np.intp]:
+    """Numbers of the vertices that a triangle uses and that are not finite or beyond :data:`LARGEST`, in order.
 
-    Triangles must be in range."""
+    What no triangle uses cannot matter to any shadow.
+
+    Args:
+        vertices: (V, 3) coordinates [m].
+        triangles: (T, 3) indices, in range; None if every vertex is used.
+    """
     # NaN comes out of min and max and fails the comparison.
     if not vertices.size or (vertices.min() >= -LARGEST and vertices.max() <= LARGEST):
         return np.zeros(0, np.intp)
     wrong = ~(np.abs(vertices) <= LARGEST).all(axis=1)
+    if triangles is None:
+        return np.flatnonzero(wrong)
     used = np.zeros(len(vertices), bool)
     used[triangles] = True
     return np.flatnonzero(wrong & used)

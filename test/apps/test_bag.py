@@ -236,6 +236,13 @@ def test_a_static_transform_that_changes(tmp_path: Path) -> None:
     assert edges[0] - edges[1] == pytest.approx(0.5 * FOCAL / 2, abs=1.0)
 
 
+def test_what_mesh_files_hold_besides_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "plate.obj"
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nl 1 2\n")
+    run(still_life().write(tmp_path / "in"), tmp_path / "out.mcap", *parameters(mesh__files=f"[{file}]"))
+    assert f"warning: {file}: left out, as it casts no shadow: lines (1)\n" in capsys.readouterr().err
+
+
 def test_poses_from_a_topic_and_the_latest_camera_info(tmp_path: Path) -> None:
     made = BagMaker()
     made.raw("/mesh", MESH, encode_mesh(*plate()))

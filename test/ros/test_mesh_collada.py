@@ -77,6 +77,7 @@ def primitive(kind: str, content: str, count: int = 1, inputs: str = "") -> str:
         primitive("tristrips", "<p>0 1 2 3</p>"),
         primitive("tristrips", "<p>0 1 2</p><p>2 1 3</p>", 2),
         primitive("trifans", "<p>0 1 3 2</p>"),
+        '<triangles count="0"/><polylist/>' + TRIANGLES + primitive("polylist", "<vcount/><p/>", 0),
         primitive("triangles", "<p>0 1 2</p>") + primitive("trifans", "<p>2 1 3</p>"),
         primitive("triangles", "<p>0 9 9 1 9 9 2 9 9 2 9 9 1 9 9 3 9 9</p>", 2,
                   '<input semantic="NORMAL" source="#x" offset="1"/>'
@@ -222,6 +223,7 @@ CONTROLLER = '<node id="n"><instance_controller url="#c"/></node>'
             "4 corners do not make 2",
         ),
         (document(geometry(primitive("polygons", "<p>0 1 2</p>", 2))), "3 corners do not make 2"),
+        (document(geometry(primitive("triangles", "", 2))), "0 corners do not make 2"),
         (document(geometry(primitive("tristrips", "<p>0 1</p>"))), "2 corners do not make 1"),
         (document(geometry(primitive("polygons", "<ph><p>0 1 3 2</p><h>0 1</h></ph>"))), "fewer than 3 corners"),
         (document(geometry(positions=source(count=5))), "5 positions with stride 3 do not fit into 12 numbers"),

@@ -75,6 +75,8 @@ def _positions(mesh: Element, what: str) -> FloatArray:
 
 def _primitive(item: Element, vertices: FloatArray, what: str, besides: Counter[str]) -> IntArray:
     """Triangles of one of ``_KINDS``."""
+    if all(item.find(tag) is None for tag in ("p", "ph")) and _whole(item, "count", 0, what) == 0:
+        return np.zeros((0, 3), np.int64)  # some programs write empty ones, without any input
     inputs = [(child.get("semantic"), _whole(child, "offset", 0, what)) for child in item.iterfind("input")]
     offsets = [offset for semantic, offset in inputs if semantic == "VERTEX"]
     if len(offsets) != 1:

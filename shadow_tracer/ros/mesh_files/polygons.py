@@ -46,7 +46,7 @@ def triangulate(vertices: FloatArray, corners: IntArray, counts: IntArray) -> In
                 flat = _projected(vertices[polygons])
                 bent = ~_convex(flat) if count > 4 else _cut_quads(polygons, flat, cut, chosen)
             for k in np.flatnonzero(bent):
-                found = polygons[k][_clip(flat[k], (count,), f"polygon {chosen[k]}")]
+                found = polygons[k][_clip(flat[k], (count,), f"polygon {chosen[k]} (counted from 0)")]
                 cut[k] = polygons[k, 0]  # corners that stand twice leave triangles without area
                 cut[k, : len(found)] = found
         triangles[starts[chosen, None] + np.arange(count - 2)] = cut
@@ -113,13 +113,13 @@ def _cut_quads(quads: IntArray, flat: FloatArray, cut: IntArray, numbers: IntArr
     other = ~(first * second >= 0.0)
     crossing = other & ~(third * fourth >= 0.0)
     if crossing.any():
-        raise _crossing(f"polygon {numbers[np.flatnonzero(crossing)[0]]}")
+        raise _crossing(f"polygon {numbers[np.flatnonzero(crossing)[0]]} (counted from 0)")
     cut[other] = quads[other][:, [[1, 2, 3], [1, 3, 0]]]
     return np.zeros(len(quads), bool)
 
 
 def _crossing(what: str) -> ReadError:
-    return ReadError(f"{what} (counted from 0) crosses itself, so that its surface is not defined; {_CURE}")
+    return ReadError(f"{what} crosses itself, so that its surface is not defined; {_CURE}")
 
 
 def _clip(flat: FloatArray, ends: tuple[int, ...], what: str) -> IntArray:
