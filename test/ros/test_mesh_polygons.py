@@ -111,6 +111,30 @@ def test_polygons_that_cross_themselves_are_refused(flat: list[tuple[float, floa
         )
 
 
+@pytest.mark.parametrize("corners", [4, 6])
+def test_slivers_that_cross_themselves_by_rounding_are_no_reason_to_refuse(corners: int) -> None:
+    """Corners on a line, folded too, written with six digits: none of them may be taken for a bow tie."""
+    rng = np.random.default_rng(corners)
+    for _ in range(100):
+        start, way = rng.uniform(-9, 9, 3), rng.normal(size=3)
+        line = start + np.append(rng.random(corners - 2), (0.0, 3.0))[:, None] * way
+        sliver = np.array([[float(f"{x:.6g}") for x in row] for row in line])
+        triangles = triangulate(sliver, np.arange(corners), np.array([corners]))
+        assert len(triangles) == corners - 2 and np.linalg.norm(normals(sliver, triangles), axis=1).sum() < 1e-2
+
+
+@pytest.mark.parametrize("away", [0.0, 1e6])
+def test_small_loops_are_found(away: float) -> None:
+    """A loop at a corner of a twentieth of the size is no rounding, wherever the polygon is."""
+    for tie in (
+        [(0, 0), (1, 1), (1, 0), (0, 0.02)],
+        [(0, 0), (2, 0), (2, 2.1), (2.1, 2), (0, 2)],
+    ):
+        space = np.insert(np.array(tie) + away, 2, 0.0, axis=1)
+        with pytest.raises(ReadError, match="crosses itself"):
+            triangulate(space, np.arange(len(tie)), np.array([len(tie)]))
+
+
 def test_corners_that_stand_twice_and_polygons_without_area() -> None:
     flat = [(0, 0), (1, 0), (1, 0), (1, 1), (0, 1), (0, 1)]
     space = np.insert(np.array(flat, float), 2, 0.0, axis=1)

@@ -16,7 +16,8 @@ import numpy as np
 from shadow_tracer.ros.mesh_files.content import FloatArray, IntArray, ReadError
 from shadow_tracer.scene.checks import LARGEST
 
-_ROUNDING = 1e-9  # of the area of the bounding rectangle
+_DIGITS = 2e-5  # of the largest coordinate: what six digits leave open, twice the area of a sliver of that width
+_FAR = 10.0  # extents of a polygon from the origin, beyond which files have more digits
 _CURE = "triangulate the mesh in the program that wrote it"
 
 
@@ -110,12 +111,21 @@ def _cut_quads(quads: IntArray, flat: FloatArray, cut: IntArray, numbers: IntArr
     a, b, c, d = (flat[:, k] for k in range(4))
     first, second = _cross(b - a, c - a), _cross(c - a, d - a)
     third, fourth = _cross(c - b, d - b), _cross(d - b, a - b)
-    other = ~(first * second >= 0.0)
-    crossing = other & ~(third * fourth >= 0.0)
+    # The part that is wound the other way: none is best, and one that comes of rounding in slivers does not matter.
+    here = np.where(first * second >= 0.0, 0.0, np.minimum(abs(first), abs(second)))
+    there = np.where(third * fourth >= 0.0, 0.0, np.minimum(abs(third), abs(fourth)))
+    other = there < here
+    crossing = np.minimum(here, there) > _negligible(flat)
     if crossing.any():
         raise _crossing(f"polygon {numbers[np.flatnonzero(crossing)[0]]} (counted from 0)")
     cut[other] = quads[other][:, [[1, 2, 3], [1, 3, 0]]]
     return np.zeros(len(quads), bool)
+
+
+def _negligible(flat: FloatArray) -> FloatArray:
+    """(...) twice the areas that rounding of coordinates adds or takes in polygons, (..., n, 2)."""
+    extent = np.ptp(flat, axis=-2).max(axis=-1)
+    return np.asarray(_DIGITS * extent * np.minimum(np.abs(flat).max(axis=(-2, -1)), _FAR * extent))
 
 
 def _crossing(what: str) -> ReadError:
@@ -140,7 +150,7 @@ def _clip(flat: FloatArray, ends: tuple[int, ...], what: str) -> IntArray:
     rings = [np.arange(first, end) for first, end in zip((0, *ends[:-1]), ends, strict=True)]
     outline, *holes = (abs(_areas(scaled, _fans(ring[None])[0]).sum()) for ring in rings)
     areas = _areas(scaled, triangles)
-    if abs(np.abs(areas).sum() - (outline - sum(holes))) > _ROUNDING * np.prod(np.ptp(scaled, axis=0)):
+    if abs(np.abs(areas).sum() - (outline - sum(holes))) > 0.5 * _negligible(flat) / extent.max() ** 2:
         raise _crossing(what)
     if len(triangles) < len(flat) - 2 + 2 * len(holes):
         triangles = _with_all_corners(scaled, triangles, rings)
@@ -162,12 +172,15 @@ def _with_all_corners(flat: FloatArray, triangles: IntArray, rings: Sequence[Int
     edges |= {(b, a) for a, b in edges}
     open_ = [tuple(map(int, triangle)) for triangle in triangles]
     done: list[tuple[int, ...]] = []
+    wanted = len(flat) - 2 + 2 * (len(rings) - 1)
     while open_:
+        if len(open_) + len(done) > wanted:
+            return triangles  # folded onto itself within rounding: no corner of it has a place on one edge only
         triangle = open_.pop()
         others = {(t[k], t[k - 1]) for t in (*open_, *done) for k in range(3)}
         for k in range(3):
             a, b, c = triangle[k - 1], triangle[k], triangle[k - 2]
-            between = [] if (a, b) in edges or (a, b) in others else _between(flat, a, b)
+            between = [] if (a, b) in edges or (a, b) in others else _between(flat, a, b, c)
             if between:
                 open_ += [(a, between[0], c), (between[0], b, c)]
                 break
@@ -176,9 +189,9 @@ def _with_all_corners(flat: FloatArray, triangles: IntArray, rings: Sequence[Int
     return np.array(done, np.int64).reshape(-1, 3)
 
 
-def _between(flat: FloatArray, a: int, b: int) -> list[int]:
-    """Corners on the line from a to b, without its ends."""
+def _between(flat: FloatArray, a: int, b: int, c: int) -> list[int]:
+    """Corners on the line from a to b, without its ends and c."""
     along, off = flat[b] - flat[a], flat - flat[a]
     share = off @ along
     near = np.abs(_cross(along, off)) <= 1e-14
-    return [int(k) for k in np.flatnonzero(near & (share > 0.0) & (share < along @ along)) if k not in (a, b)]
+    return [int(k) for k in np.flatnonzero(near & (share > 0.0) & (share < along @ along)) if k not in (a, b, c)]
