@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
 
+from shadow_tracer.ros.mesh_files import polygons
 from shadow_tracer.ros.mesh_files.content import ReadError
 from shadow_tracer.ros.mesh_files.polygons import triangulate, triangulate_rings
 
@@ -121,6 +123,33 @@ def test_slivers_that_cross_themselves_by_rounding_are_no_reason_to_refuse(corne
         sliver = np.array([[float(f"{x:.6g}") for x in row] for row in line])
         triangles = triangulate(sliver, np.arange(corners), np.array([corners]))
         assert len(triangles) == corners - 2 and np.linalg.norm(normals(sliver, triangles), axis=1).sum() < 1e-2
+
+
+def test_putting_corners_back_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this folded sliver, with a corner that stands twice, every split leaves another edge to be split."""
+    sliver = np.array(
+        [
+            (0.750108, -7.33419, 0.60448),
+            (0.762049, -7.34736, 0.607621),
+            (0.78515, -7.37283, 0.613696),
+            (0.74777, -7.33161, 0.603865),
+            (0.744062, -7.32752, 0.60289),
+            (0.744062, -7.32752, 0.60289),
+            (0.760064, -7.34517, 0.607098),
+            (0.778368, -7.36535, 0.611912),
+            (0.767254, -7.35309, 0.608989),
+        ]
+    )
+    asked: list[Any] = []
+    between = polygons._between
+
+    def count(*given: Any) -> list[int]:
+        asked.append(given)
+        assert len(asked) < 1000, "no end"
+        return between(*given)
+
+    monkeypatch.setattr(polygons, "_between", count)
+    assert len(triangulate(sliver, np.arange(9), np.array([9]))) == 7 and asked
 
 
 @pytest.mark.parametrize("away", [0.0, 1e6])
