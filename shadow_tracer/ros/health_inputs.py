@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from shadow_tracer.ros.inputs import Inputs
 
 _SILENT = 3.0  # seconds after which an input counts as silent
-_IT, _THEY = "and it casts no shadow", "and they cast no shadow"
 _MUCH = 0.1  # share of images that the transport may lose before it is said
 
 Verdict = tuple[bytes, str, dict[str, Any]]
@@ -122,14 +121,15 @@ def _mesh_verdict(inputs: Inputs, settings: Settings, now: float) -> tuple[bytes
     mismatch = inputs.mismatch(*TOPICS)
     if mismatch:
         return ERROR, mismatch
+    then = "masks are unknown" if store.lacking and not store.parts else "it casts no shadow"
     for name, source in meshes.sources.items():
         if source.refused.recent(now):
-            kept = "the last good one stays" if meshes.in_force(name) else f"there is no earlier one, {_IT}"
+            kept = "the last good one stays" if meshes.in_force(name) else f"there is no earlier one and {then}"
             text = f"{source.refused.text}; {kept}; correct the publisher of {inputs.topic(name)}"
             return ERROR, f"{name} refused, {text}"
     if meshes.files:
         loaded = any(key.startswith(FILES) for key in store.parts)
-        kept = "the others stay" if loaded else f"none is loaded, {_THEY}"
+        kept = "the others stay" if loaded else f"none is loaded and {then}"
         return ERROR, f"{meshes.files}; correct mesh.files, {kept}"
     slow = next(filter(None, meshes.layouts.reasons.values()), "")
     if slow:
@@ -141,7 +141,7 @@ def _mesh_verdict(inputs: Inputs, settings: Settings, now: float) -> tuple[bytes
         if meshes.received == meshes.refused > 0:
             name, refused = next((name, s.refused) for name, s in meshes.sources.items() if s.refused.text)
             return WARN, (
-                f"no mesh: all {meshes.refused} that came were refused and every valid pixel is lit, {refused.text}; "
+                f"no mesh: all {meshes.refused} that came were refused and {then}, {refused.text}; "
                 f"correct the publisher of {inputs.topic(name)}"
             )
         if meshes.received > 0:

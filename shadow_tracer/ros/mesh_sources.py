@@ -93,7 +93,9 @@ class MeshSources:
             self.store.commit(self._readers[topic](message, now_ns), now_ns)
         except PartError as error:
             source.refused.add(str(error), now)
+            self.store.lacking = f"{error}; correct its publisher, or call ~/clear_meshes"
             return
+        self.store.lacking = ""
         if topic == "mesh":
             self._last = self._next
         source.parsing.add((time.perf_counter() - start) * 1e3)
@@ -105,8 +107,10 @@ class MeshSources:
             new = file_parts(settings.mesh_files, settings.mesh_files_scale, old)
             self.store.commit(Changes(new, clear=FILES), now_ns)
             self.files = ""
+            self.store.lacking = ""
         except PartError as error:
             self.files = str(error)
+            self.store.lacking = f"{error}; correct mesh.files"
 
     def in_force(self, topic: str) -> bool:
         """Whether anything that came by a topic casts shadow now; both topics of markers count as one."""
@@ -119,7 +123,8 @@ class MeshSources:
         return tuple(dict.fromkeys(text for text in texts if text))
 
     def clear(self, now_ns: int) -> int:
-        """Drop every mesh that was received; those of files stay. Returns how many parts went."""
+        """Drop every mesh that was received, refused ones too; those of files stay. Returns how many parts went."""
+        self.store.lacking = ""
         keys = tuple(key for key in self.store.parts if not key.startswith(FILES))
         self.store.commit(Changes(remove=keys), now_ns)
         self._last = None

@@ -114,10 +114,13 @@ class MeshStore:
 
     Attributes:
         updates: how often a mesh of the scene was replaced ("put"), got new positions ("deform") and moved ("move").
+        lacking: why the mesh that came last was refused, "" if it was good. Where there are no parts no mask is right
+            then: what casts shadow exists and is not known.
     """
 
     def __init__(self, max_triangles: int) -> None:
         self.updates = {"put": 0, "deform": 0, "move": 0}
+        self.lacking = ""
         self._max_triangles = max_triangles
         self._parts: dict[str, Part] = {}
         self._received: dict[str, int] = {}

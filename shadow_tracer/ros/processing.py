@@ -108,7 +108,7 @@ class Processor:
         return None
 
     def _prepare(self, settings: Settings, frame: WaitingFrame, now_ns: int, last_chance: bool) -> _Job:
-        check_age(self._meshes, settings, now_ns)
+        check_meshes(self._meshes, settings, now_ns)
         info = self._queue.info_for(frame, settings.camera_info_policy)
         height, width = frame.depth.shape
         try:
@@ -196,14 +196,20 @@ def forget_surface(scene: Scene, settings: Settings) -> None:
         scene.remove(DEPTH_PART)
 
 
-def check_age(meshes: MeshStore, settings: Settings, now_ns: int) -> None:
-    """Drop the parts whose lifetime is over, and raise Missing if one that is left is stale.
+def check_meshes(meshes: MeshStore, settings: Settings, now_ns: int) -> None:
+    """Drop the parts whose lifetime is over, and raise Missing if one that is left is stale, or if a mesh was refused
+    before there was a good one.
 
     Args:
         now_ns: time of the node's clock [ns].
     """
     meshes.expire(now_ns)
-    if settings.mesh_max_age <= 0.0 or not settings.uses_meshes:
+    if not settings.uses_meshes:
+        return
+    if meshes.lacking and not meshes.parts:
+        text = f"what casts shadow is not known: a mesh was refused and there is no earlier one, {meshes.lacking}"
+        raise Missing(MESH, text, wait=False, level=ERROR)
+    if settings.mesh_max_age <= 0.0:
         return
     key, age = meshes.oldest(now_ns)
     if age > settings.mesh_max_age:

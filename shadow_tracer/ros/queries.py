@@ -18,7 +18,7 @@ from shadow_tracer.ros.frames import Frames
 from shadow_tracer.ros.lighting import Lighting
 from shadow_tracer.ros.mesh_store import MeshStore, PartError
 from shadow_tracer.ros.messages import stamp_ns
-from shadow_tracer.ros.processing import check_age, forget_surface
+from shadow_tracer.ros.processing import check_meshes, forget_surface
 from shadow_tracer.ros.settings import FloatArray, Settings
 from shadow_tracer.scene.checks import all_three
 
@@ -121,7 +121,7 @@ class Queries:
     ) -> npt.NDArray[np.uint32]:  # fmt: skip
         header = query.message.header
         stamp = stamp_ns(header.stamp)
-        check_age(self._meshes, settings, now_ns)
+        check_meshes(self._meshes, settings, now_ns)
         if not camera_frame and settings.pose_source == "tf" and not settings.fixed_frame:
             camera_frame = header.frame_id  # no image has come: the world is where the query is
         poses = self._frames.at(settings, camera_frame, stamp, last_chance)

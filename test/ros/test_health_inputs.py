@@ -55,11 +55,9 @@ def test_when_all_that_came_was_refused(inputs: Inputs) -> None:
         inputs.meshes.receive("mesh", BAD, float(k), k)
     level, text = inputs.verdict(2.0)
     assert level == ERROR and "mesh refused, vertices: " in text
-    assert text.endswith("; there is no earlier one, and it casts no shadow; correct the publisher of /mesh")
+    assert text.endswith("; there is no earlier one and masks are unknown; correct the publisher of /mesh")
     level, text = inputs.verdict(60.0)
-    assert level == WARN and text.startswith(
-        "no mesh: all 2 that came were refused and every valid pixel is lit, vertic"
-    )
+    assert level == WARN and text.startswith("no mesh: all 2 that came were refused and masks are unknown, vertic")
     assert text.endswith("correct the publisher of /mesh")
 
 

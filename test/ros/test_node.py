@@ -150,16 +150,17 @@ GARBAGE = [
 
 
 def test_a_first_mesh_that_is_refused_is_not_called_an_earlier_one(rig: Rig) -> None:
-    """There is none that could stay: what it should cover is lit, and the status says so until a good one comes."""
+    """There is none that could stay: nothing is known of what it should cover until a good one comes."""
     rig.send_mesh_bytes(GARBAGE[-2][1])
-    status = rig.wait_status(MESH, ERROR, "there is no earlier one, and it casts no shadow; correct the publisher")
+    status = rig.wait_status(MESH, ERROR, "there is no earlier one and masks are unknown; correct the publisher")
     assert "not finite" in status.message
-    assert shadow_size(rig.trace(wall())) == 0
+    assert (rig.trace(wall()) == UNKNOWN).all()
     vertices, triangles = plate()
     rig.send_mesh(np.vstack([vertices, np.full((1, 3), np.nan)]), triangles)  # of no triangle: taken
     assert shadow_size(rig.trace(wall())) > 100
     rig.send_mesh_bytes(GARBAGE[-2][1])
     rig.wait_status(MESH, ERROR, "the last good one stays")
+    assert shadow_size(rig.trace(wall())) > 100
 
 
 def test_garbage_on_the_mesh_topic_leaves_the_last_good_mesh_in_force(rig: Rig) -> None:

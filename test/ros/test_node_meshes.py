@@ -134,7 +134,7 @@ def test_files_that_cannot_be_used_at_the_start(tmp_path: Path, tracer: ShadowTr
     (tmp_path / "good.obj").write_text("\n".join([*rows, "l 1 2"]))
     with Rig({"mask.unknown_value": UNKNOWN, "mesh.files": [str(tmp_path / "flat.obj")]}) as rig:
         text = "zero area (1 of them), so that nothing casts a shadow; export it again, and look at mesh.files_scale"
-        assert text in rig.wait_status(MESH, ERROR, "none is loaded, and they cast no shadow").message
+        assert text in rig.wait_status(MESH, ERROR, "none is loaded and masks are unknown").message
         assert rig.set(mesh__files=[str(tmp_path / "good.obj")]) == ""
         np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, {"a": plate()}))
         rig.until(lambda: rig.value(MESH, "left out of files").endswith("casts no shadow: lines (1)"))
@@ -283,7 +283,7 @@ def test_bounds_hold_for_all_parts_together(rig: Rig, tracer: ShadowTracer) -> N
     np.testing.assert_array_equal(good, expected(tracer, {"a": plate(), "b": plate(x=0.3)}))
     rig.send_part("mesh_cloud", PointCloud2, cloud_msg(np.tile(soup(*plate(x=-0.3)), (50, 1))))
     text = "mesh_cloud refused, bounds.max_triangles: all meshes together would have 4102 triangles"
-    assert "there is no earlier one, and it casts no shadow" in rig.wait_status(MESH, ERROR, text).message
+    assert "there is no earlier one and it casts no shadow" in rig.wait_status(MESH, ERROR, text).message
     np.testing.assert_array_equal(rig.trace(wall()), good)
     # The shares change in one frame, neither of them fits beside what the other had.
     rig.send_mesh(*grid(10))
