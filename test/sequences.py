@@ -58,6 +58,16 @@ class Step:
         frame = tracer.trace(self.depth, self.camera, self.lights, self.bias)
         return np.stack([frame.state(light.name).reshape(-1) for light in self.lights])
 
+    def counters(self, tracer: Any) -> dict[str, int]:
+        """What it takes ``tracer`` to trace, whose scene has been changed already."""
+        tracer.front_face_culling = self.culling
+        if self.points is not None:
+            valid = np.isfinite(self.points).all(axis=1)
+            points = np.where(valid[:, None], self.points, 0.0)
+            traced = tracer._engine.trace_points(tracer.scene, points, self.lights, self.bias.constant, valid)
+            return dict(traced.counters)
+        return dict(tracer.trace(self.depth, self.camera, self.lights, self.bias).counters)
+
 
 @cache
 def sequence(seed: int, length: int, fresh: bool = False) -> tuple[Step, ...]:

@@ -27,12 +27,16 @@ class KeptRays:
         """They will have to be made again."""
         self._revision, self._lights, self._structured = -1, (), False
 
-    def keep(self, work: Pass) -> None:
-        """The rays of a pass have just been made, and nothing of them yet."""
+    def rays_so_far(self) -> int:
+        """Rays of the passes of this frame that have been made."""
+        return int(self._frame.counters.numpy()[:, RAYS].sum())
+
+    def keep(self, work: Pass, before: int) -> None:
+        """The rays of a pass have just been made, and nothing of them yet; ``before``: rays of earlier passes."""
         frame = self._frame
         states = frame.states_of(work.first, len(work.lights)).numpy()
         self._states[: states.size] = states
-        self._rays = int(frame.counters.numpy()[:, RAYS].sum())
+        self._rays = self.rays_so_far() - before
         self._revision, self._lights, self._structured = frame.revision, work.lights, False
 
     def structured(self) -> None:

@@ -3,11 +3,12 @@
 
 All rays take part in the first pass of a frame. Triangles visit rays in no particular order, so a ray that finds the
 queue full cannot remember where it stopped; instead it counts its uncertain pairs to the end (``resume``) and becomes
-PENDING. A further pass admits, from the front, as many pending rays as surely fit the queue together, and shows them
-all triangles again. If another tree shows a ray more uncertain pairs than counted, it stays pending with the new count
-and fewer rays are admitted next time, down to a single one; if even that one has more pairs than the queue has places,
-it is tested alone against one triangle after the other, and goes on where it stopped. So every pass makes progress, at
-any capacity.
+PENDING. A further pass admits, from the front, as many pending rays as fit the queue together by these counts, and
+shows them all triangles again. Passes of one frame count in the same place: where there are several, a pending ray
+counts as one pair at first, the least there can be. If that was too little, or another tree shows a ray more uncertain
+pairs than counted, it stays pending with the new count and fewer rays are admitted next time, down to a single one; if
+even that one has more pairs than the queue has places, it is tested alone against one triangle after the other, and
+goes on where it stopped. So every pass makes progress, at any capacity.
 
 Rays that do not fit into light space (``light_space.is_wild``) are kept out of the tree and tested against every
 triangle.

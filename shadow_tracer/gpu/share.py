@@ -86,13 +86,14 @@ class Share:
             return
         if self._kept is None:
             self.frame.renew()  # the rays of another share in the same buffers are overwritten
+        before = self._kept.rays_so_far() if self._kept is not None else 0
         with self.stages.stage("project"):
             for place, light in enumerate(work.lights):
                 projection.project(self.frame, light.number, place, again)
         if self._kept is None:
             return
         if again == projection.FIRST_TIME:
-            self._kept.keep(work)
+            self._kept.keep(work, before)
         else:
             self._kept.forget()
 
@@ -129,6 +130,8 @@ class Share:
             self.context.records.plan(work.lights, len(passes[0].lights))
             self.prepare(work)
             attempt = 0 if in_parts else 1
+            if attempt == 1 and len(passes) > 1:
+                self.frame.resume.fill_(1)  # other passes have counted there: of this one the least there can be
             self.project(work, projection.ONCE_MORE if in_parts else projection.PENDING_RAYS)
             unfinished = True
             while unfinished:

@@ -4,13 +4,15 @@ of another frame, and nothing that lay there before, answers for a sample."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import sequences
 from poison import BYTES, Poison
 from sequences import ROOMY, TIGHT
 
-from shadow_tracer import Bounds, ShadowTracer, available_pipelines
+from shadow_tracer import Bounds, PointLight, ShadowTracer, available_pipelines
 from shadow_tracer.gpu import cuts, frame_tracer
 
 _VARIANTS = [(name, variant) for name, variants in available_pipelines().items() for variant in variants]
@@ -105,3 +107,44 @@ def test_nothing_is_read_that_the_frame_has_not_written(
         assert poison.fill(BYTES[number % len(BYTES)]) > 1_000_000
         wrong[number] = sequences.differing(tracer, step)
     assert not any(wrong.values()), wrong
+
+
+_COUNTING = [names for names in _VARIANTS if names[0] not in ("mesh_bvh", "auto")]  # hints and choices go on
+
+
+@pytest.mark.parametrize("names", _COUNTING, ids="/".join)
+def test_a_frame_takes_what_it_takes_a_fresh_tracer(names: tuple[str, str]) -> None:
+    """Where everything is new: the same counters, so that nothing of an earlier frame was even looked at."""
+    tracer = _tracer(names)
+    for number, step in enumerate(sequences.sequence(6, 16, fresh=True)):
+        counters = []
+        for each in (tracer, _tracer(names)):
+            for change in step.changes:
+                change(each.scene)
+            engine: Any = each._engine.inside
+            engine._anchor = None  # the one before serves again where it can
+            counters.append(step.counters(each))
+        assert counters[0] == counters[1], number
+
+
+def test_lights_in_passes_of_their_own_take_no_more_passes_together(any_device: str) -> None:
+    """One has a single uncertain pair a ray, the other many; what is counted for one is not taken for the other."""
+    fan = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    rim = np.stack([0.1 * np.cos(fan), 0.1 * np.sin(fan), np.full(40, 5.0)], axis=-1)
+    vertices = np.concatenate([[(0, 0, 5.0)], rim, [(5, 0, 0), (5, 0, 40), (5, 5, 20.0)]])
+    triangles = [*((0, 1 + k, 1 + (k + 1) % 40) for k in range(40)), (41, 42, 43)]
+    points = np.zeros((400, 3))
+    points[:, 2] = 10.0 + 0.01 * np.arange(400)
+    one, many = PointLight("one", (10.0, 0.0, 0.0)), PointLight("many", (0.0, 0.0, 0.0))
+
+    def passes(names: tuple[str, str], lights: list[PointLight]) -> int:
+        bounds = Bounds(len(triangles), 400, 2, queue_capacity=8, grid_entries=4096)
+        tracer = ShadowTracer(*names, device=any_device, bounds=bounds, threads=1)
+        tracer.scene.put("fan", vertices, triangles)
+        traced = tracer._engine.trace_points(tracer.scene, points, lights, 0.0)
+        assert (traced.states == 1).all()
+        return traced.counters["overflow_passes"]
+
+    for names in [("cone_hierarchy", "linear"), ("cone_hierarchy", "precise_sea"), ("light_grid", "spherical")]:
+        apart = passes(names, [one]) + passes(names, [many])
+        assert max(passes(names, [one, many]), passes(names, [many, one])) <= apart + 10 < 500
