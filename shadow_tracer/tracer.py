@@ -32,6 +32,10 @@ _SECONDS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobo
 class ShadowTracer:
     """Finds shadows on one device. Not thread-safe: one tracer, one thread.
 
+    A frame ends or has never been: after an exception in the middle of one (Ctrl-C, a signal handler that raises) its
+    buffers are allocated again, and the next one has the right bits. In a forked child process a tracer answers on the
+    CPU; one on a GPU raises RuntimeError.
+
     Args:
         pipeline: one of :func:`available_pipelines`.
         variant: a variant of it; None is its default.
@@ -40,7 +44,8 @@ class ShadowTracer:
         front_face_culling: see the property of that name.
         graphs: whether the launches of a frame are recorded and replayed as one where the pipeline allows it
             (``cone_hierarchy/linear`` and ``light_grid`` do); :attr:`Frame.stages` then has one stage ``graph`` for
-            all of them. None is yes on CUDA and no on the CPU, where recording is an experiment of Warp's.
+            all of them. None is yes on CUDA and no on the CPU, where recording is an experiment of Warp's. Where a
+            device cannot record (it has no memory pools), or a recording fails, kernels are launched one by one.
         threads: how many cores of the CPU a frame may keep busy, where the pipeline allows it (``light_grid``,
             ``cone_hierarchy/linear`` and ``brute_force`` do); None is all that this process may use, at most 8.
 
