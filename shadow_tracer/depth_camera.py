@@ -98,7 +98,9 @@ class DepthCamera:
                 raise BoundsError(
                     f"bounds.{name}: expected at most {limit} {what} of a depth camera with this bound, got {count}"
                 )
-        seen = self._seat.run(lambda: self._look(scene, camera))
+        needs = [("depth camera", scene.triangle_count > 0)]
+        seen = self._seat.run(lambda: self._look(scene, camera), needs)
+        self._seat.loaded.update(needs)
         self.counters = seen.counters
         shape = (camera.height, camera.width)
         return seen.depth.reshape(shape), seen.triangle.reshape(shape)

@@ -8,7 +8,7 @@ puts it back at its end, so that after any other end the next frame finds none, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -57,9 +57,9 @@ class Engine:
         self._tracer: FrameTracer | None = None
         self._seat.run(self._found)
 
-    def _whole(self, frame: Callable[[FrameTracer], _Result]) -> _Result:
-        """Do ``frame`` to the end."""
-        return self._seat.run(lambda: self._do(frame))
+    def _whole(self, frame: Callable[[FrameTracer], _Result], needs: Sequence[Hashable] = ()) -> _Result:
+        """Do ``frame`` to the end; it launches the kernels ``needs``."""
+        return self._seat.run(lambda: self._do(frame), needs)
 
     def _do(self, frame: Callable[[FrameTracer], _Result]) -> _Result:
         tracer = self._found()
@@ -75,8 +75,10 @@ class Engine:
                 end_recording(self.device)
             if self.device.is_cuda:
                 wp.synchronize_device(self.device)
-            names, chooser = self._names, self._chooser
-            made = FrameTracer(self.device, self.bounds, names, chooser, self._graphs, self._workers, self._loaded)
+            names, chooser, seat = self._names, self._chooser, self._seat
+            made = FrameTracer(
+                self.device, self.bounds, names, chooser, self._graphs, self._workers, (self._loaded, seat.loaded)
+            )
             made.front_face_culling = self._culling
             if self._second is not None:
                 made.employ_second(*self._second)
@@ -182,7 +184,8 @@ class Engine:
     ) -> Traced:
         """States of all pixels for all lights, by the second pipeline if so wished. Arguments have been checked:
         float32 metres or uint16 millimetres, C order."""
-        return self._trace(lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), second)
+        frame = (depth.dtype.name, scene.triangle_count > 0)
+        return self._trace(lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), second, frame)
 
     def trace_points(
         self,
@@ -195,10 +198,16 @@ class Engine:
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
         is all valid."""
-        return self._trace(lambda tracer: tracer.trace_points(scene, points, lights, bias, valid), second)
+        frame = (None, scene.triangle_count > 0)
+        return self._trace(lambda tracer: tracer.trace_points(scene, points, lights, bias, valid), second, frame)
 
-    def _trace(self, trace: Callable[[FrameTracer], Traced], second: bool) -> Traced:
-        return self._whole(lambda tracer: tracer.second_opinion(lambda: trace(tracer)) if second else trace(tracer))
+    def _trace(self, trace: Callable[[FrameTracer], Traced], second: bool, frame: tuple[str | None, bool]) -> Traced:
+        """By the second pipeline, or not; ``frame``: the format of its image, and whether there are triangles."""
+        if second:
+            assert self._second is not None
+            return self._whole(lambda tracer: tracer.second_opinion(lambda: trace(tracer)), [(self._second, *frame)])
+        candidates = self._chooser.candidates if self._chooser else [self._names]
+        return self._whole(trace, [(names, *frame) for names in candidates])
 
 
 def _chooser_of(names: Names) -> Chooser | None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -51,7 +51,7 @@ class FrameTracer:
         chooser: who chooses the pipeline of each frame; None if it is always ``names``.
         graphs: whether frames are recorded where the pipeline allows it.
         workers: threads for the shares of the rays that are worked on side by side where the pipeline allows it.
-        loaded: which kernels have been launched, and so loaded; added to.
+        loaded: which kernels have been launched by this tracer, and by anybody on the device; both are added to.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class FrameTracer:
         chooser: Chooser | None,
         graphs: bool,
         workers: Workers,
-        loaded: set[Loaded],
+        loaded: tuple[set[Loaded], set[Hashable]],
     ) -> None:
         self.device = device
         self.bounds = bounds
@@ -70,7 +70,7 @@ class FrameTracer:
         self._use_graphs = graphs
         self._graphs = FrameGraphs(device)
         self._workers = workers
-        self._loaded = loaded
+        self._loaded, self._loaded_by_anybody = loaded
         self._cold = False  # whether this frame has loaded kernels, or recorded its launches
         mirrored = device.is_cuda or graphs
         self._frame = FrameBuffers(bounds, device, workers.count, mirrored=mirrored)
@@ -344,6 +344,7 @@ class FrameTracer:
         else:
             self._side_by_side(working, passes, source, self._workers.run if loaded else _one_after_the_other)
         self._loaded.add(kernels)
+        self._loaded_by_anybody.add(kernels)
 
     def _has_launched(self, names: Names) -> bool:
         """Whether all kernels of a pipeline have been launched, but for those that make samples."""

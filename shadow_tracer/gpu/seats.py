@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One frame at a time for each owner of device buffers, and nothing else on a device while a frame is recorded.
+"""One frame at a time for each owner of device buffers, and nothing else on a device while it records or loads.
 
-While a device records, whatever any thread launches on it goes into the recording instead of being executed. So a frame
-that may be recorded holds the locks of all owners on its device, one that may not be only that of its own.
+While a device records, whatever any thread launches on it goes into the recording instead of being executed; and while
+a thread loads kernels, another one that loads or runs the same ones may lose them. So a frame that may be recorded, or
+needs kernels that nobody has launched yet, holds the locks of all owners on its device; any other one only its own.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import os
 import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
 _Result = TypeVar("_Result")
@@ -20,11 +21,12 @@ class _Room:
     """The seats on one device."""
 
     def __init__(self) -> None:
-        self.recording = threading.RLock()  # held by whoever takes several locks: nobody else may
+        self.several = threading.RLock()  # held by whoever takes several locks: nobody else may
+        self.loaded: set[Hashable] = set()
         self.seats: list[weakref.ref[Seat]] = []
 
     def enter(self, seat: Seat) -> None:
-        with self.recording:  # not in the middle of a recording
+        with self.several:  # not while somebody is alone here
             self.seats = [known for known in self.seats if known() is not None] + [weakref.ref(seat)]
 
     def locks(self) -> list[Any]:
@@ -50,8 +52,16 @@ class Seat:
         self._room = _rooms.setdefault(str(device), _Room())
         self._room.enter(self)
 
-    def run(self, frame: Callable[[], _Result]) -> _Result:
-        """Do ``frame`` while nobody else does one here, nor, if frames may be recorded, on the whole device.
+    @property
+    def loaded(self) -> set[Hashable]:
+        """Which kernels have been launched on the device by anybody, in the words of those who launch them."""
+        return self._room.loaded
+
+    def run(self, frame: Callable[[], _Result], needs: Sequence[Hashable] = ()) -> _Result:
+        """Do ``frame`` while nobody else does one here, nor on the whole device if it may be recorded or loads kernels.
+
+        Args:
+            needs: kernels that it launches; it has to add them to ``loaded``.
 
         Raises:
             RuntimeError: called from within a frame of the same owner, for instance by a signal handler; or in a child
@@ -64,10 +74,10 @@ class Seat:
             )
         if self.lock._is_owned():
             raise RuntimeError("a frame is under way in this thread: it cannot begin another one before it has ended")
-        if not self._records:
+        if not self._records and self._room.loaded.issuperset(needs):
             with self.lock:
                 return frame()
-        with self._room.recording:
+        with self._room.several:
             return _holding(self._room.locks(), frame)
 
 
@@ -83,7 +93,7 @@ def _holding(locks: Sequence[Any], frame: Callable[[], _Result]) -> _Result:
 def _after_fork() -> None:
     """In the child nobody will release what other threads of the parent held."""
     for room in _rooms.values():
-        room.recording = threading.RLock()
+        room.several = threading.RLock()
         for known in room.seats:
             seat = known()
             if seat is not None:

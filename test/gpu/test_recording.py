@@ -17,7 +17,7 @@ import warp as wp
 from interrupts import Ring
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, render_depth
-from shadow_tracer.gpu import graphs, share
+from shadow_tracer.gpu import frame_tracer, graphs, share
 from shadow_tracer.scene.mesh import Scene
 
 _BOUNDS = Bounds(max_triangles=5000, max_rays=5000, max_lights=2, queue_capacity=10_000, grid_entries=100_000)
@@ -145,6 +145,37 @@ def test_recording_beside_another_thread(any_device: str) -> None:
             thread.join()
         sys.setswitchinterval(interval)
     assert wrong == []
+
+
+def test_kernels_are_loaded_while_nobody_else_is_at_work(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads that load the same kernels at once lose them: the first frame of a kind is alone on the device."""
+    tracers = [_tracer("light_grid/packed", any_device, False) for _ in range(3)]
+    expected = _expected(any_device, 1)[0]
+    seat: Any = tracers[0]._engine._seat
+    seat.loaded.clear()  # as if nobody had launched anything: whoever needs it loads it, and finds it there
+    inside: list[int] = []
+    entered, alone = threading.Event(), []
+    trace = frame_tracer.FrameTracer.trace_depth
+
+    def watched(this: Any, *arguments: Any) -> Any:
+        inside.append(1)
+        if len(inside) > 1:
+            entered.set()
+        if not seat.loaded:  # nobody may come in while these are loaded, however long that takes
+            alone.append(not entered.wait(0.5))
+        try:
+            return trace(this, *arguments)
+        finally:
+            inside.pop()
+
+    monkeypatch.setattr(frame_tracer.FrameTracer, "trace_depth", watched)
+    answers: list[bytes] = []
+    threads = [threading.Thread(target=lambda each=each: answers.append(_frame(each, 0))) for each in tracers]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert answers == 3 * [expected] and alone == [True] and seat.loaded
 
 
 def test_devices_without_memory_pools_are_not_recorded() -> None:
