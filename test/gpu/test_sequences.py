@@ -64,6 +64,19 @@ def test_unlike_frames_by_several_threads(names: tuple[str, str], threads: int, 
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_pipelines_that_take_turns_in_one_tracer(threads: int, seed: int) -> None:
+    """Another pipeline every few frames, and frames traced by a second one in between."""
+    rng, tracer = np.random.default_rng(seed), _tracer(("light_grid", "packed"), threads=threads)
+    for number, step in enumerate(sequences.sequence(seed, 24)):
+        if rng.random() < 0.5:
+            tracer.select(*_VARIANTS[rng.integers(len(_VARIANTS))])
+        assert sequences.differing(tracer, step) == 0, (number, tracer.pipeline, tracer.variant)
+        if step.points is None and rng.random() < 0.5:
+            assert tracer.verify(step.depth, step.camera, step.lights, step.bias) == 0, number
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("names", _RECORDED, ids="/".join)
 def test_unlike_frames_recorded(names: tuple[str, str], seed: int) -> None:
     """Each kind of frame twice more, so that it is recorded and replayed."""
