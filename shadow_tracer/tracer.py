@@ -19,7 +19,7 @@ from shadow_tracer.gpu.pipelines import AUTO, available_pipelines, resolve
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, unmasked_depth, valid_points
+from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, refuse_units, unmasked_depth, valid_points
 from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
 from shadow_tracer.scene.mesh import Scene
 
@@ -405,6 +405,7 @@ def _check_light(light: Any, field: str) -> None:
 
 def _positions(points: Any) -> tuple[npt.NDArray[Any], FloatArray]:
     """``points`` as an array (..., 3), and as float64 (N, 3)."""
+    refuse_units(points, "points")
     try:
         masked = isinstance(points, np.ma.MaskedArray)
         positions = np.asarray(points.astype(np.float64).filled(np.nan) if masked else points)

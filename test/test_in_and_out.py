@@ -105,6 +105,27 @@ def test_masked_values_where_there_must_be_some(field: str, give: Callable[[], A
         give()
 
 
+class Quantity(np.ndarray):
+    """As of astropy or pint: an array whose numbers mean something else without its unit."""
+
+
+@pytest.mark.parametrize(
+    ("field", "give"),
+    [
+        ("depth", lambda millimetres: _tracer().trace(millimetres(_depth()), _CAMERA, _LIGHTS)),
+        ("points", lambda millimetres: _tracer().occluded(millimetres(_ROOF[0]), _LIGHTS[0])),
+        ("vertices", lambda millimetres: Scene().put("a", millimetres(_ROOF[0]), _ROOF[1])),
+        ("pose", lambda millimetres: Scene().put("a", *_ROOF, pose=millimetres(np.eye(4)))),
+        ("position", lambda millimetres: PointLight("a", millimetres(np.ones(3)))),
+        ("range", lambda millimetres: PointLight("a", (0, 0, 0), millimetres(np.array(1.0)))),
+        ("fx", lambda millimetres: Camera(2, 2, millimetres(np.array(1.0)), 1.0, 0.0, 0.0)),
+    ],
+)
+def test_a_unit_is_not_dropped(field: str, give: Callable[[Any], Any]) -> None:
+    with pytest.raises(ValueError, match=f"^{field}: expected "):
+        give(lambda array: array.view(Quantity))
+
+
 def test_a_masked_array_without_a_mask_is_an_array() -> None:
     scene = Scene()
     scene.put("a", np.ma.masked_array(_ROOF[0]), np.ma.masked_array(_ROOF[1]), np.ma.masked_array(np.eye(4)))

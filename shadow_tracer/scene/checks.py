@@ -20,8 +20,16 @@ class BoundsError(ValueError):
     """An input is larger than a declared capacity. The message names the bound; nothing was changed."""
 
 
+def refuse_units(value: Any, field: str) -> None:
+    """Raise ValueError if ``value`` is a quantity of astropy, pint or the like: an array made of it has lost its
+    unit."""
+    if type(value).__name__ == "Quantity":
+        raise ValueError(f"{field}: expected plain numbers, got a quantity with a unit; give metres or radians")
+
+
 def unmasked_depth(depth: Any) -> npt.NDArray[Any]:
     """``depth`` as an array; masked pixels of a masked array hold no measurement: NaN, or 0 if it is of integers."""
+    refuse_units(depth, "depth")
     if isinstance(depth, np.ma.MaskedArray):
         return np.asarray(depth.filled(np.nan if depth.dtype.kind == "f" else 0))
     try:
@@ -32,7 +40,8 @@ def unmasked_depth(depth: Any) -> npt.NDArray[Any]:
 
 def refuse_mask(value: Any, field: str) -> None:
     """Raise ValueError if ``value`` is a masked array in which something is masked: there is no value then, and what
-    lies under the mask must not be taken for one."""
+    lies under the mask must not be taken for one. So are quantities with a unit."""
+    refuse_units(value, field)
     count = int(np.ma.count_masked(value)) if isinstance(value, np.ma.MaskedArray) else 0
     if count:
         raise ValueError(f"{field}: expected an array without masked values, got {count}; fill or leave them out first")
@@ -81,8 +90,9 @@ def direction3(value: Any, field: str) -> FloatArray:
 
 
 def real(value: Any) -> float:
-    """``value`` as a float, NaN if it is no real number: a text or a truth value is none, nor what is masked."""
-    if isinstance(value, (str, bytes, bool, np.bool_)) or value is np.ma.masked:
+    """``value`` as a float, NaN if it is no real number: a text or a truth value is none, nor what is masked or has a
+    unit."""
+    if isinstance(value, (str, bytes, bool, np.bool_)) or value is np.ma.masked or type(value).__name__ == "Quantity":
         return float("nan")
     try:
         return float(value)
