@@ -1,9 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes made by code for the tests. Every function returns (vertices (V,3) float64, triangles (T,3) int32); all
-are deterministic."""
+are deterministic.
+
+A sphere has the same bits on every machine: it is made with + - * / and sqrt alone, which IEEE 754 rounds correctly.
+``np.linalg.norm``, ``@`` and ``einsum`` add in an order that BLAS and the processor choose, and sines, exponentials
+and normal deviates are only as good as the library that makes them: a test that depends on a last bit must not use
+them.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -48,16 +55,22 @@ def box(low: Iterable[float], high: Iterable[float]) -> Geometry:
     return corners, np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))], np.int32)
 
 
+def unit(vector: Iterable[float]) -> np.ndarray:
+    """(3,) ``vector`` divided by its length; the same bits on every machine."""
+    x, y, z = (float(component) for component in vector)
+    return np.array([x, y, z]) / math.sqrt(x * x + y * y + z * z)
+
+
 def icosphere(subdivisions: int, radius: float = 1.0, centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Geometry:
     """A closed, welded sphere: 20 * 4^subdivisions triangles."""
-    g = (1.0 + 5.0**0.5) / 2.0
+    g = (1.0 + math.sqrt(5.0)) / 2.0
     # the twelve corners lie on three golden rectangles; the triangles are written four a row
     points = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0)]
     points += [(z, x, y) for x, y, z in points] + [(y, z, x) for x, y, z in points]
     rows = "0 11 5 0 5 1 0 1 7 0 7 10 0 10 11 1 5 9 5 11 4 11 10 2 10 7 6 7 1 8"
     rows += " 3 9 4 3 4 2 3 2 6 3 6 8 3 8 9 4 9 5 2 4 11 6 2 10 8 6 7 9 8 1"
     faces = [tuple(row) for row in np.array(rows.split(), int).reshape(-1, 3).tolist()]
-    vertices = [np.array(p) / np.linalg.norm(p) for p in points]
+    vertices = [unit(p) for p in points]
     for _ in range(subdivisions):
         middles: dict[tuple[int, int], int] = {}
 
@@ -65,8 +78,7 @@ def icosphere(subdivisions: int, radius: float = 1.0, centre: Iterable[float] = 
             key = (min(i, j), max(i, j))
             if key not in middles:
                 middles[key] = len(vertices)
-                centre_point = vertices[i] + vertices[j]
-                vertices.append(centre_point / np.linalg.norm(centre_point))
+                vertices.append(unit(vertices[i] + vertices[j]))
             return middles[key]
 
         finer = []
