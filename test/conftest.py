@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator
 from typing import Any
 
+import probe
 import pytest
 
 # Small enough to be made once per pipeline, large enough for every real mesh of the suite.
@@ -45,7 +46,8 @@ def _cases() -> list[tuple[str, str, str]]:
 
 
 class Tracers:
-    """Tracers by (device, pipeline, variant) with the suite's bounds; made on first use, emptied on every request."""
+    """Tracers by (device, pipeline, variant) with the suite's bounds; made on first use, and on every request in the
+    state of a fresh one, whatever tests ran before."""
 
     def __init__(self) -> None:
         self._made: dict[tuple[str, str, str], Any] = {}
@@ -56,7 +58,7 @@ class Tracers:
         key = (device, pipeline, variant)
         if key not in self._made:
             self._made[key] = ShadowTracer(pipeline=pipeline, variant=variant, device=device, bounds=Bounds(**BOUNDS))
-        self._made[key].scene.clear()
+        probe.reset(self._made[key])
         return self._made[key]
 
 
@@ -70,7 +72,7 @@ def tracers() -> Tracers:
 # SHADOW_TRACER_ALL_CASES=1 gives every case to every variant; their own tests and the views always do.
 _SISTERS = ("precise", "precise_sorted", "spheres", "spheres_sorted", "precise_sea", "precise_eatp", "precise_seatp")
 _SISTERS += ("spherical", "measured")
-_FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy")
+_FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy", "test_probe")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

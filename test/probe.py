@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests ask about the inside of a tracer, and do to it, by name: no other file of the suite need know how the
+device side keeps things."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from shadow_tracer import ShadowTracer
+
+
+def reset(tracer: ShadowTracer) -> None:
+    """Bring a tracer that others have used to the state of a fresh one: an empty scene, and nothing learned or kept of
+    earlier frames.
+
+    The anchor, rays, records, cuts between the threads, the choice of ``auto`` and ``mesh_bvh``'s guesses at occluders
+    all carry over from frame to frame. None changes an answer, but each changes how many nodes, entries and triangles
+    are looked at for it. What stays is what depends on no frame: buffers, loaded kernels, and recordings, whose keys
+    name all that they depend on.
+    """
+    tracer.scene.clear()
+    tracer.front_face_culling = False
+    tracer.release_verify()
+    tracer._last = None
+    engine: Any = tracer._engine
+    engine._anchor, engine._lights = None, ()
+    engine._samples.forget()
+    engine._context.records.forget()
+    engine._balances = {names: type(balance)(balance._shares) for names, balance in engine._balances.items()}
+    if engine._chooser is not None:
+        engine._chooser = type(engine._chooser)(engine._chooser.candidates)
+        engine._team = engine._teams[engine._chooser.candidates[0]]
+    for share in engine._all_shares():
+        _forget(share)
+
+
+def _forget(share: Any) -> None:
+    if share._kept is not None:
+        share._kept.forget()
+    guesses = getattr(share.pipeline, "_occluders", None)  # of mesh_bvh: each ray's last occluder
+    if guesses is not None:
+        guesses.zero_()
