@@ -9,9 +9,9 @@ from typing import Any
 from shadow_tracer import ShadowTracer
 
 
-def reset(tracer: ShadowTracer) -> None:
-    """Bring a tracer that others have used to the state of a fresh one: an empty scene, and nothing learned or kept of
-    earlier frames.
+def reset(tracer: ShadowTracer) -> ShadowTracer:
+    """Bring a tracer that others have used to the state of a fresh one, and return it: an empty scene, and nothing
+    learned or kept of earlier frames.
 
     The anchor, rays, records, cuts between the threads, the choice of ``auto`` and ``mesh_bvh``'s guesses at occluders
     all carry over from frame to frame. None changes an answer, but each changes how many nodes, entries and triangles
@@ -32,6 +32,7 @@ def reset(tracer: ShadowTracer) -> None:
         engine._team = engine._teams[engine._chooser.candidates[0]]
     for share in engine._all_shares():
         _forget(share)
+    return tracer
 
 
 def _forget(share: Any) -> None:

@@ -8,6 +8,7 @@ from functools import cache
 
 import geometry
 import numpy as np
+import probe
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SpotLight
@@ -24,8 +25,12 @@ LIGHTS = [
 ]
 
 
-@cache
 def _tracer(device: str, pipeline: str, variant: str, capacity: int = 100_000) -> ShadowTracer:
+    return probe.reset(_shared(device, pipeline, variant, capacity))
+
+
+@cache
+def _shared(device: str, pipeline: str, variant: str, capacity: int) -> ShadowTracer:
     return ShadowTracer(
         pipeline=pipeline, variant=variant, device=device, bounds=Bounds(**BOUNDS, queue_capacity=capacity)
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import probe
 import pytest
 from scenario import compare
 
@@ -36,7 +37,7 @@ def cramped() -> Any:
         if (*case, capacity) not in made:
             bounds = Bounds(max_triangles=2000, max_rays=1000, max_lights=1, queue_capacity=capacity)
             made[(*case, capacity)] = ShadowTracer(pipeline, variant, device, bounds)
-        return made[(*case, capacity)]
+        return probe.reset(made[(*case, capacity)])
 
     return get
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 
 from shadow_tracer import Bounds, DirectionalLight, PointLight, ShadowTracer
@@ -17,8 +18,12 @@ from shadow_tracer.scene.lights import Light
 _DISTANCES = (0.5, 3.0, 1.0e4, 1.0e8, np.inf)
 
 
-@cache
 def _tracer(pipeline: str) -> ShadowTracer:
+    return probe.reset(_shared(pipeline))
+
+
+@cache
+def _shared(pipeline: str) -> ShadowTracer:
     return ShadowTracer(pipeline, device="cpu", bounds=Bounds(max_triangles=8192, max_rays=4096, max_lights=2))
 
 
@@ -101,7 +106,7 @@ def _far_and_near(seed: int = 482) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_only_what_may_concern_the_rays_is_made() -> None:
     vertices, triangles, points = _far_and_near()
-    tracer, oracle = _tracer.__wrapped__("light_grid"), _tracer("brute_force")  # without an anchor yet
+    tracer, oracle = _tracer("light_grid"), _tracer("brute_force")  # without an anchor yet
     light = PointLight("lamp", (0.1, 0.0, 1.2))
     wide = np.concatenate([points, points + (0.0, -8.0, 0.0)])
 

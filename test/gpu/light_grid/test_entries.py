@@ -12,6 +12,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 import views
 
@@ -34,15 +35,14 @@ Make = Callable[..., ShadowTracer]
 
 @pytest.fixture(scope="module")
 def make() -> Make:
-    """Tracers with the given capacities, made once; their scenes are empty when they are handed out."""
+    """Tracers with the given capacities, made once; in the state of fresh ones when they are handed out."""
     made: dict[tuple[Any, ...], ShadowTracer] = {}
 
     def get(device: str, variant: str, **capacities: int) -> ShadowTracer:
         key = (device, variant, *sorted(capacities.items()))
         if key not in made:
             made[key] = _fresh(device, variant, **capacities)
-        made[key].scene.clear()
-        return made[key]
+        return probe.reset(made[key])
 
     return get
 

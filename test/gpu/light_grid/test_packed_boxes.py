@@ -11,6 +11,7 @@ from typing import Any
 import bundles
 import numpy as np
 import packed_grid
+import probe
 import pytest
 import warp as wp
 from node_fuzz import LIGHTS, SPREADS, TRIANGLES, decide_all
@@ -147,8 +148,12 @@ def judge_all_wide(
 _MOST_RAYS, _MOST_TRIANGLES = 1024, len(SPREADS) * TRIANGLES
 
 
-@cache
 def _tracer(device: str, variant: str) -> ShadowTracer:
+    return probe.reset(_shared(device, variant))
+
+
+@cache
+def _shared(device: str, variant: str) -> ShadowTracer:
     return ShadowTracer("light_grid", variant, device, Bounds(_MOST_TRIANGLES, _MOST_RAYS, 1, 64, 1))
 
 
