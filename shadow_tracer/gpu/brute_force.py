@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import EXACT, LEAF_TESTS, RETESTED
 from shadow_tracer.gpu.exact import determinant_sign
 from shadow_tracer.gpu.light_frame import PENDING, SHADOWED
@@ -253,7 +254,7 @@ class BruteForce:
             buffers.counters,
         ]
         with stages.stage("trace"):
-            if self._variant == "filtered" and buffers.device.is_cpu:
+            if self._variant == "filtered" and forms.wide(buffers.device):
                 blocks = -(-buffers.count // _BLOCK)
                 inputs = [buffers.count, attempt, scene.triangle_count, *arrays]
                 wp.launch(test_all_blocks, dim=blocks, inputs=inputs, device=buffers.device)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import Slices
 from shadow_tracer.gpu.light_frame import LightFrame, frame_coordinates
 from shadow_tracer.gpu.triangles import Context
@@ -81,7 +82,7 @@ class Corners:
         scene, light = self._context.scene, self._context.records.light_frame(frame.number)
         device, count = scene.device, scene.vertex_count
         out = self.of(frame.number)
-        if device.is_cpu:
+        if forms.wide(device):
             inputs = [light, count, scene.vertices, out]
             wp.launch(project_vertex_blocks, dim=-(-count // _BLOCK), inputs=inputs, device=device)
         else:

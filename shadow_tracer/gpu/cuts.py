@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.scene.bounds import Bounds
 
 # Fewer samples for each share are not worth a thread.
@@ -16,7 +17,7 @@ LEAST = 16384
 
 def share_count(device: Any, bounds: Bounds, threads: int, graphs: bool) -> int:
     """How many shares of the rays there are to be."""
-    if not device.is_cpu or graphs or bounds.max_rays < LEAST * threads or bounds.queue_capacity < threads:
+    if not forms.wide(device) or graphs or bounds.max_rays < LEAST * threads or bounds.queue_capacity < threads:
         return 1
     return threads
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.binary_tree import FOUND, search
 from shadow_tracer.gpu.buffers import LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED, towards_light
@@ -239,7 +240,7 @@ class MeshBvh:
         self._constructor = "cubql" if context.frame.device.is_cpu else "lbvh"
         self._bvh: wp.Bvh | None = None
         # Vector registers make eight boxes as cheap as one on the CPU; CUDA threads walk the binary tree.
-        self._widens = context.frame.device.is_cpu and variant != "binary"
+        self._widens = forms.wide(context.frame.device) and variant != "binary"
         nodes = max(1024, context.frame.bounds.max_triangles // 4) if self._widens else 1
         self._tree = Tree()
         self._tree.bounds = wp.empty(nodes * BOUNDS_PER_NODE, dtype=float, device=context.frame.device)

@@ -20,6 +20,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import LEAF_TESTS
 from shadow_tracer.gpu.launches import Launches
 from shadow_tracer.gpu.light_frame import LIT, PENDING, SHADOWED
@@ -289,9 +290,9 @@ class Participants:
 
             def prepare() -> tuple[int, list[Any]]:
                 inputs = [frame.rays, states, frame.resume, self.group, self._wild, self.counts]
-                return (-(-count // int(_BLOCK)), [count, *inputs]) if device.is_cpu else (count, inputs)
+                return (-(-count // int(_BLOCK)), [count, *inputs]) if forms.wide(device) else (count, inputs)
 
-            self._launch(admit_blocks if device.is_cpu else admit_all, (work.first, count, frame.count), prepare)
+            self._launch(admit_blocks if forms.wide(device) else admit_all, (work.first, count, frame.count), prepare)
             return
         if attempt == 1:
             self._alone.fill_(-1)
@@ -324,7 +325,7 @@ class Participants:
     def finish(self, work: Pass) -> None:
         """Test the rays that are not in the tree. Once in an attempt, whatever its parts."""
         frame, scene = self._context.frame, self._context.scene
-        threads, lights = 1 if frame.device.is_cpu else _WILD_THREADS_CUDA, len(work.lights)
+        threads, lights = forms.tasks(frame.device, _WILD_THREADS_CUDA), len(work.lights)
 
         def prepare() -> tuple[int, list[Any]]:
             records = self._context.records.of(work.first, lights)

@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import RAYS, FrameBuffers
 from shadow_tracer.gpu.exact import ARITHMETIC
 from shadow_tracer.gpu.light_frame import (
@@ -178,7 +179,7 @@ def project(buffers: FrameBuffers, light: int, place: int, again: int) -> None:
 
     ``again`` is ``FIRST_TIME``; ``PENDING_RAYS``: only the rays of samples whose tracing is not finished, and no
     states; or ``ONCE_MORE``: as the first time, but not counted."""
-    wide = buffers.device.is_cpu
+    wide = forms.wide(buffers.device)
 
     def prepare() -> tuple[int, list[Any]]:
         inputs = [

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.exact import ARITHMETIC, transform_point
 from shadow_tracer.gpu.transfers import Uploads
 from shadow_tracer.scene.bounds import Bounds
@@ -110,7 +111,7 @@ class SceneBuffers:
         self.upload = upload or Uploads(device)
         vertices = 3 * bounds.max_triangles
         # The CPU reads them where the meshes have them.
-        self.local = wp.empty(0 if device.is_cpu else vertices, dtype=wp.vec3d, device=device)
+        self.local = wp.empty(0 if forms.wide(device) else vertices, dtype=wp.vec3d, device=device)
         self.vertices = wp.empty(vertices, dtype=wp.vec3d, device=device)
         self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
         self.triangle_count = 0
@@ -167,7 +168,7 @@ class SceneBuffers:
             change = Change.TOPOLOGY
             self.upload(self.triangles, mesh.triangles + np.int32(first_vertex), first_triangle)
         moved = not placed or old is None or old.vertices != mesh.vertices_revision
-        if moved and not self.device.is_cpu:
+        if moved and not forms.wide(self.device):
             self.upload(self.local, mesh.vertices, first_vertex)
         if moved or old is None or old.pose != mesh.pose_revision:
             change = max(change, Change.POSITIONS)
@@ -189,7 +190,7 @@ class SceneBuffers:
         """A mesh's vertices in the world, from vertex ``first`` on."""
         count = len(mesh.vertices)
         rows = [wp.vec4d(*row) for row in mesh.pose[:3]]
-        if self.device.is_cpu:
+        if forms.wide(self.device):
             local = wp.array(ptr=mesh.vertices.ctypes.data, dtype=wp.vec3d, shape=(count,), device=self.device)
             inputs, blocks = [*rows, first, local, self.vertices], -(-count // int(_BLOCK))
             wp.launch(transform_blocks, dim=blocks, inputs=inputs, device=self.device)

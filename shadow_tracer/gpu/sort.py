@@ -7,6 +7,8 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
+
 
 # Warp's own radix sort takes digits of 16 bits on the CPU, whose 65,536 counters and write positions do not fit the
 # first cache; up to 12 bits do. A digit that all keys share is skipped.
@@ -72,7 +74,7 @@ class KeySort:
     def sort(self, count: int, first_bit: int, last_bit: int) -> None:
         """Sort the first ``count`` pairs by the bits of their keys from ``first_bit`` up to, but without,
         ``last_bit``."""
-        if self.keys.device.is_cpu:
+        if forms.wide(self.keys.device):
             # However few: then the kernel is loaded in the first frame, whatever is in it.
             inputs = [count, first_bit, last_bit, self.keys, self.values]
             wp.launch(sort_pairs_cpu, dim=1, inputs=inputs, device=self.keys.device)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.exact import DETERMINANT, determinant_sign
 from shadow_tracer.gpu.light_frame import LightFrame, frame_coordinates
 from shadow_tracer.gpu.scene_buffers import SceneBuffers
@@ -368,7 +369,7 @@ def prepare(
         culled,
     ]
     count = scene.triangle_count
-    if records.device.is_cpu:
+    if forms.wide(records.device):
         blocks = -(-count // BLOCK)
         wp.launch(prepare_blocks, dim=blocks, inputs=[count, *inputs], device=records.device)
     else:

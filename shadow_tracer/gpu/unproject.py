@@ -16,6 +16,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.exact import ARITHMETIC, transform_point
 from shadow_tracer.gpu.pinhole import Pinhole
@@ -159,7 +160,7 @@ wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.uint16)})
 def unproject_image(depth: wp.array, buffers: FrameBuffers) -> None:
     """Samples and validity of the ``buffers.count`` pixels of ``depth``, float32 metres or uint16 millimetres, seen by
     ``buffers.pinhole``."""
-    wide = buffers.device.is_cpu
+    wide = forms.wide(buffers.device)
 
     def prepare() -> tuple[int, list[Any]]:
         units = wp.float64(1.0 if depth.dtype == wp.float32 else 1000.0)

@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import Slices
 from shadow_tracer.gpu.clusters import CLUSTER
 from shadow_tracer.gpu.corners import Corners
@@ -40,7 +41,7 @@ class PackedGrid:
         self.lights_together = context.frame.bounds.max_lights
         self._participants = Participants(context)
         self._buffers = TileBuffers(context.frame)
-        wide = context.frame.device.is_cpu and variant == "packed"
+        wide = forms.wide(context.frame.device) and variant == "packed"
         self._way: _Wide | _Scalar = (_Wide if wide else _Scalar)(context, self._buffers, self._participants)
         self.recordable, self.keeps_rays = True, wide
 
@@ -264,13 +265,13 @@ class _Scalar:
         bin(1)
         length, start = self._slices(bins.length, 0, places), self._slices(bins.start, 0, places)
         wp.utils.array_scan(length, start, inclusive=False)
-        threads = 1 if device.is_cpu else _THREADS_CUDA
+        threads = forms.tasks(device, _THREADS_CUDA)
         launch(tracing.scatter_entries, threads, threads, bins)
         launch(tracing.count_chunks, places + 1, work.part, places, bins, answers)
         chunks = self._slices(bins.chunks, 0, places + 1)
         wp.utils.array_scan(chunks, chunks, inclusive=False)
         launch(tracing.list_chunks, places, bins)
-        warps = 1 if device.is_cpu else _THREADS_CUDA // 32
+        warps = forms.tasks(device, _THREADS_CUDA // 32)
         launch(tracing.trace_chunks, 32 * warps, warps, places, tiles, occluders, bins, answers)
 
     def nbytes(self) -> int:

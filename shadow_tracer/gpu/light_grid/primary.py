@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.corners import project_vertex_blocks, project_vertices
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.light_grid.primary_bins import bin_triangles, count_entries, emit_entries, fill_lists
@@ -60,7 +61,7 @@ class PrimaryRays:
 
     def __init__(self, device: Any, bounds: Bounds, wide: bool | None = None, tile: int = TILE) -> None:
         self._device, self._bounds, self._tile = device, bounds, tile
-        self._wide = device.is_cpu if wide is None else wide
+        self._wide = forms.wide(device) if wide is None else wide
         if self._wide and tile != TILE:
             raise ValueError(f"tile: expected {TILE} for the CPU's form, got {tile}")
         rays, triangles, entries = bounds.max_rays, bounds.max_triangles, bounds.grid_entries
@@ -136,7 +137,7 @@ class PrimaryRays:
         device, scene = self._device, self.scene
         prepare(self._frame.array, scene, self._records, False, self._degenerate, self._culled)
         vertices = scene.vertex_count
-        if device.is_cpu:
+        if forms.wide(device):
             blocks = -(-vertices // _VERTICES_AT_ONCE)
             inputs = [self._frame.array, vertices, scene.vertices, self._corners]
             wp.launch(project_vertex_blocks, dim=blocks, inputs=inputs, device=device)
@@ -167,7 +168,7 @@ class PrimaryRays:
         seen = [scene.triangles, self._corners, self._records]
         wp.launch(count_entries, dim=count, inputs=[grid, *seen, ends], device=device)
         wp.utils.array_scan(ends, ends, inclusive=True)
-        capacity, threads = self._bounds.grid_entries, 1 if device.is_cpu else _FILL_THREADS
+        capacity, threads = self._bounds.grid_entries, forms.tasks(device, _FILL_THREADS)
         first = passes = entries = largest = 0
         while passes == 0 or first < entries:
             starts.zero_()

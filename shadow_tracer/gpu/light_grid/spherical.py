@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import LEAF_TESTS, PASSES
 from shadow_tracer.gpu.corners import Corners
 from shadow_tracer.gpu.light_frame import SHADOWED
@@ -104,7 +105,7 @@ class SphericalGrid:
         fixed: bool | None = None,
     ) -> None:
         self._context = context
-        self.recordable = not context.frame.device.is_cpu if fixed is None else fixed
+        self.recordable = not forms.wide(context.frame.device) if fixed is None else fixed
         self._participants = Participants(context)
         self._corners = context.shared.take(Corners, context)
         self.rays = TiledRays(context, self._participants, rays_per_tile, cells, threshold)
@@ -142,7 +143,7 @@ class SphericalGrid:
 
     def _trace_items(self, work: Pass) -> None:
         frame, rays, lists = self._context.frame, self.rays, self.lists
-        lanes = 1 if frame.device.is_cpu else rays.threshold
+        lanes = 1 if forms.wide(frame.device) else rays.threshold
         inputs = [lanes, frame.rays, rays.polar, rays.keys, rays.order, rays.items, rays.counts, rays.tiles]
         inputs += [lists.begins, lists.keys, lists.values, self._context.records.of(work.first)]
         inputs += [self._participants.answers(work)]

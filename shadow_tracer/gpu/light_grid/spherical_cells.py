@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import ENTRIES, LARGEST_TILE, SPLITS
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.light_grid.spherical_extent import PAD, TURN, Extent, azimuth_pad, azimuths_of, elevations_of
@@ -269,7 +270,7 @@ class CellLists:
         device, tiles = frame.device, self._rays.tiles
         inputs = [frame.light_frame_of[work.first], 0, wp.int64(0), occluders, tiles, lists]
         wp.launch(cover_tiles, dim=triangles, inputs=inputs, device=device)
-        if device.is_cpu:
+        if forms.wide(device):
             wp.launch(scan_counts, dim=1, inputs=[triangles, lists], device=device)
         else:
             wp.utils.array_scan(lists.counts[:triangles], lists.sums[:triangles], inclusive=True)

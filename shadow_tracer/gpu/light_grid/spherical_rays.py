@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.light_frame import SHADOWED, LightFrame
 from shadow_tracer.gpu.light_space import ray_depth, space_of
 from shadow_tracer.gpu.participants import IN_TREE, Participants
@@ -371,7 +372,7 @@ class TiledRays:
 
     def _sum(self, count: int, sums: wp.array) -> None:
         device = self._context.frame.device
-        if device.is_cpu:
+        if forms.wide(device):
             wp.launch(scan_flags, dim=1, inputs=[count, self._flags, sums], device=device)
         else:
             wp.utils.array_scan(self._flags[:count], sums[:count], inclusive=True)
