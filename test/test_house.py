@@ -134,6 +134,21 @@ def test_pipelines_do_not_know_each_other() -> None:
                 )
 
 
+# Who asks a device what it is, for memory, streams, recordings or Warp's own builders. In which form kernels run is
+# asked of ``forms``, so that the CPU can run the form of CUDA.
+_ASKS_THE_DEVICE = ("engine.py", "forms.py", "graphs.py", "mesh_bvh.py", "seats.py", "stages.py", "transfers.py")
+
+
+def test_the_form_of_kernels_is_decided_in_one_place() -> None:
+    asking = {path.relative_to(_PACKAGE / "gpu").as_posix() for path in _MODULES if _asks_the_device(path)}
+    assert asking == set(_ASKS_THE_DEVICE), "say forms.wide(device) where the form of a kernel is meant"
+
+
+def _asks_the_device(path: Path) -> bool:
+    nodes = ast.walk(ast.parse(path.read_text()))
+    return any(isinstance(node, ast.Attribute) and node.attr in ("is_cpu", "is_cuda") for node in nodes)
+
+
 @pytest.mark.parametrize("path", _MODULES, ids=_IDS)
 def test_sizes(path: Path) -> None:
     text = path.read_text()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.gpu import light_frame, soft
+from shadow_tracer.gpu import forms, light_frame, soft
 from shadow_tracer.gpu.anchor import depth_anchor, points_anchor
 from shadow_tracer.gpu.balance import Balance
 from shadow_tracer.gpu.buffers import FrameBuffers
@@ -72,7 +72,7 @@ class FrameTracer:
         self._workers = workers
         self._loaded, self._loaded_by_anybody = loaded
         self._cold = False  # whether this frame has loaded kernels, or recorded its launches
-        mirrored = device.is_cuda or graphs
+        mirrored = not forms.wide(device) or graphs
         self._frame = FrameBuffers(bounds, device, workers.count, mirrored=mirrored)
         self._planes = StatePlanes(self._frame) if mirrored else None
         self._scene = SceneBuffers(bounds, device, self._frame.upload)
@@ -81,7 +81,7 @@ class FrameTracer:
         self._lights: tuple[object, ...] = ()
         self._second: Share | None = None
         self._seconding = False
-        self._samples = Samples(device.is_cpu and not graphs)
+        self._samples = Samples(forms.wide(device) and not graphs)
         self.take(*self.make_teams(names, chooser))
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.pinhole import make_pinhole
 from shadow_tracer.scene.camera import Camera
@@ -71,10 +72,10 @@ class Samples:
         for frame, first, size in parts:
             frame.renew()
             # On the CPU straight into the buffer: without a copy in between it takes two thirds of the time.
-            rows = frame.samples.numpy()[:size] if frame.device.is_cpu else np.empty((size, 4))
+            rows = frame.samples.numpy()[:size] if forms.wide(frame.device) else np.empty((size, 4))
             rows[:, :3] = points[first : first + size]
             rows[:, 3] = bias
-            if not frame.device.is_cpu:
+            if not forms.wide(frame.device):
                 frame.upload(frame.samples, rows)
             frame.upload(frame.valid, good[first : first + size])
         self._source = ("points", bias), parts

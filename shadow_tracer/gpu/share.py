@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu import projection, shadow_test, unproject
+from shadow_tracer.gpu import forms, projection, shadow_test, unproject
 from shadow_tracer.gpu.buffers import FrameBuffers
 from shadow_tracer.gpu.kept_rays import KeptRays
 from shadow_tracer.gpu.passes import Pass
@@ -105,7 +105,7 @@ class Share:
         self.pipeline.trace(replace(work, keep=True, again=self._again) if self._kept is not None else work)
         if self._kept is not None and work.attempt == work.part == 0:
             self._kept.structured()
-        threads = 1 if frame.device.is_cpu else min(_RESOLVERS_CUDA, frame.bounds.queue_capacity)
+        threads = forms.tasks(frame.device, min(_RESOLVERS_CUDA, frame.bounds.queue_capacity))
 
         def prepare() -> tuple[int, list[Any]]:
             inputs = [frame.lights_from(work.first), frame.count, threads, frame.queue]

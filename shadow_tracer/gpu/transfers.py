@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from shadow_tracer.gpu import forms
+
 _PIECE = 1 << 20  # bytes: 40 us of a bus with 25 GB/s, much longer than it takes to start a copy
 _PLACES = 4
 
@@ -33,7 +35,7 @@ class Uploads:
     def __init__(self, device: Any, piece: int = _PIECE, places: int = _PLACES, staged: bool | None = None) -> None:
         self._device = device
         self._piece, self._places = piece, places
-        self._staged = device.is_cuda if staged is None else staged
+        self._staged = not forms.wide(device) if staged is None else staged
         self._ring: wp.array | None = None  # made when first needed
         self._typed: dict[tuple[int, Any], wp.array] = {}
         self._fetched: list[wp.Event | None] = [None] * places

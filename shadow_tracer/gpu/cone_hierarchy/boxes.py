@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.cone_hierarchy.keys import CURVE_BITS, RayOrder
 from shadow_tracer.gpu.light_frame import LightFrame
 from shadow_tracer.gpu.light_space import FACES, LightSpace, ray_depth, space_of
@@ -295,7 +296,7 @@ class RayTreeBuffers:
                 break
             nodes = groups
         tree.levels = level
-        if device.is_cpu:
+        if forms.wide(device):
             wp.launch(sweep_cells, dim=1, inputs=[self._order.keys, tree], device=device)
         else:
             entries = (FACES << (2 * tree.table_bits)) + 1

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.buffers import ACCEPTED, LEAF_TESTS, NODES_VISITED, PASSES, PEAK_QUEUE
 from shadow_tracer.gpu.cone_hierarchy.cone_test import (
     COVERED,
@@ -297,13 +298,14 @@ class BreadthFirst:
         """Show the first ``count`` triangles, as far as they take part, to the rays of the tree."""
         tree, work, device = cones.tree, self._work, self._device
         wp.launch(begin, dim=1, inputs=[tree, leaves, work, answers.counters], device=device)
-        if device.is_cpu:
+        if forms.wide(device):
             wp.launch(traverse, dim=1, inputs=[count, triangles, tree, leaves, work, answers], device=device)
             return
         inputs = [count, tree, work, answers.counters]
         choose = wp.launch(schedule, dim=1, inputs=inputs, device=device, record_cmd=True)
-        inputs = [_THREADS_CUDA, triangles, tree, leaves, work, answers]
-        go = wp.launch(expand, dim=_THREADS_CUDA, inputs=inputs, device=device, record_cmd=True)
+        threads = forms.tasks(device, _THREADS_CUDA)
+        inputs = [threads, triangles, tree, leaves, work, answers]
+        go = wp.launch(expand, dim=threads, inputs=inputs, device=device, record_cmd=True)
 
         def body() -> None:
             choose.launch()

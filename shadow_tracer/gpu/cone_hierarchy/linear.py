@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu import forms
 from shadow_tracer.gpu.cone_hierarchy import descent, descent_wide
 from shadow_tracer.gpu.cone_hierarchy.boxes import RayTreeBuffers
 from shadow_tracer.gpu.cone_hierarchy.keys import RayOrder
@@ -29,7 +30,7 @@ class LinearHierarchy:
         self._context = context
         self._participants = Participants(context)
         self._corners = context.shared.take(Corners, context)
-        self._wide = context.frame.device.is_cpu and variant == "linear"
+        self._wide = forms.wide(context.frame.device) and variant == "linear"
         self._order = RayOrder(context, self._participants, hilbert=False, packed=self._wide)
         self.recordable = not self._wide
         self._buffers = RayTreeBuffers(context, self._order, self._participants, self._wide)
@@ -74,7 +75,7 @@ class LinearHierarchy:
         self._big_count.zero_()
         inputs += [self._big, self._big_count]
         wp.launch(descent.descend_triangles, dim=scene.triangle_count, inputs=inputs, device=device)
-        threads = 1 if device.is_cpu else _BIG_THREADS_CUDA
+        threads = forms.tasks(device, _BIG_THREADS_CUDA)
         wp.launch(descent.descend_big, dim=threads, inputs=[threads, *inputs], device=device)
         wp.launch(descent.write_accepted, dim=buffers.count, inputs=[tree, buffers.states_of(light)], device=device)
 
