@@ -5,10 +5,12 @@ variant there is."""
 from __future__ import annotations
 
 import os
+import sys
 import zlib
 from collections.abc import Iterator
 from typing import Any
 
+import orders
 import probe
 import pytest
 
@@ -20,6 +22,38 @@ BOUNDS = {
     "queue_capacity": 200_000,
     "grid_entries": 1_000_000,
 }
+
+
+_HOW_IT_RAN = pytest.StashKey[list[str]]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("kernels", "in which form and order the CPU runs kernels")
+    group.addoption(
+        "--kernel-form",
+        choices=["cuda"],
+        help="run on the CPU what a CUDA thread runs",
+    )
+    group.addoption("--task-order", choices=sorted(orders.ORDERS), help="order of the tasks of each launch on the CPU")
+    group.addoption("--task-seed", type=int, default=1, help="chooses among the random task orders (default: 1)")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    how: list[str] = []
+    if config.getoption("--kernel-form"):
+        assert "shadow_tracer.gpu.forms" not in sys.modules, "the form is chosen once, before anything asks for it"
+        os.environ["SHADOW_TRACER_FORM"] = config.getoption("--kernel-form")
+        how.append(f"kernel form: {config.getoption('--kernel-form')}")
+    if config.getoption("--task-order"):
+        order, seed = config.getoption("--task-order"), config.getoption("--task-seed")
+        how.append(f"task order: {order}, seed {seed}, kernels in {orders.install(order, seed)}")
+    config.stash[_HOW_IT_RAN] = how
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """How to run the same again; the header that usually says it is missing from quiet runs."""
+    for line in config.stash[_HOW_IT_RAN]:
+        terminalreporter.write_line(line)
 
 
 def _devices() -> list[str]:
@@ -76,15 +110,15 @@ _FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy", "test_pro
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if os.environ.get("SHADOW_TRACER_ALL_CASES"):
-        return
     kept, left_out = [], []
     for item in items:
         _, _, variant = getattr(item, "callspec", None) and item.callspec.params.get("tracer_case") or ("", "", "")
-        mine = True
-        if variant in _SISTERS and not any(part in item.path.as_posix() for part in _FOR_ALL):
+        mine = not (config.getoption("--kernel-form") and item.get_closest_marker("wide"))
+        if os.environ.get("SHADOW_TRACER_ALL_CASES"):
+            pass
+        elif variant in _SISTERS and not any(part in item.path.as_posix() for part in _FOR_ALL):
             case = zlib.crc32(item.nodeid.replace(f"-{variant}", "").encode())
-            mine = (case + _SISTERS.index(variant)) % 4 == 0
+            mine &= (case + _SISTERS.index(variant)) % 4 == 0
         (kept if mine else left_out).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept

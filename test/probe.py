@@ -9,6 +9,15 @@ from typing import Any
 from shadow_tracer import ShadowTracer
 
 
+def wide(device: str) -> bool:
+    """Whether kernels on ``device`` take the form of the CPU, not that of a CUDA thread."""
+    import warp as wp
+
+    from shadow_tracer.gpu import forms  # not before conftest.py has chosen the form
+
+    return forms.wide(wp.get_device(device))
+
+
 def reset(tracer: ShadowTracer) -> ShadowTracer:
     """Bring a tracer that others have used to the state of a fresh one, and return it: an empty scene, and nothing
     learned or kept of earlier frames.

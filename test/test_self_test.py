@@ -118,6 +118,7 @@ def test_a_wrong_reference_is_found_out(any_device: str, monkeypatch: pytest.Mon
     assert "checksum" in results[0].text
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("threads", [2, 3, 8])
 @pytest.mark.parametrize("wrong", ["light_grid", "brute_force"])
 def test_what_only_the_last_of_several_shares_does_wrong_is_found(

@@ -148,6 +148,7 @@ def test_a_band_without_pixels_gets_some_again() -> None:
     assert max(times) <= 1.2 * np.mean(times)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("names", ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"])
 def test_moving_cuts_change_no_bit(names: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every frame is cut elsewhere, at one side of the image or the other."""
@@ -168,6 +169,7 @@ def test_moving_cuts_change_no_bit(names: str, monkeypatch: pytest.MonkeyPatch) 
     assert len(counts) > 5 and max(max(pair) for pair in counts) <= 0.625 * 65536
 
 
+@pytest.mark.wide
 def test_the_same_image_is_cut_as_before() -> None:
     """Else its rays would be made again. What a frame with kept rays takes teaches nothing."""
     tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=_BOUNDS, threads=2)
@@ -188,6 +190,7 @@ def test_the_same_image_is_cut_as_before() -> None:
     assert len(learned) == 1 and len(learned[0]) == 2 and all(seconds > 0.0 for seconds in learned[0])
 
 
+@pytest.mark.wide
 def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
     tracer = ShadowTracer("auto", device="cpu", bounds=_BOUNDS, threads=2)
     engine: Any = tracer._engine.inside

@@ -23,6 +23,8 @@ from shadow_tracer.gpu.scene_buffers import SceneBuffers  # noqa: E402
 from shadow_tracer.scene.checks import LARGEST  # noqa: E402
 from shadow_tracer.scene.mesh import Scene  # noqa: E402
 
+pytestmark = pytest.mark.wide
+
 _RAYS = 6000
 _TRIANGLES = 3000
 _GARBAGE = 77.0

@@ -84,6 +84,7 @@ class _Pair:
         made._samples.forget()
 
 
+@pytest.mark.wide
 def test_a_mesh_moves_in_front_of_what_rests(projected: list[int]) -> None:
     rng = np.random.default_rng(491)
     pair, depth = _Pair("light_grid", _bounds(), 1), _depth(rng)
@@ -97,6 +98,7 @@ def test_a_mesh_moves_in_front_of_what_rests(projected: list[int]) -> None:
     assert mine == [3, 0, 0, 0]
 
 
+@pytest.mark.wide
 def test_points_are_asked_about_again(projected: list[int]) -> None:
     rng = np.random.default_rng(492)
     pair, points = _Pair("light_grid", _bounds(), 1), rng.uniform(-1.0, 1.0, (500, 3)) + (0.0, 0.0, 2.5)
@@ -112,6 +114,7 @@ def test_points_are_asked_about_again(projected: list[int]) -> None:
     assert mine == [1, 0, 1, 1, 1, 0]
 
 
+@pytest.mark.wide
 def test_a_second_opinion_makes_its_own_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(494)
     pair, depth, calls = _Pair("light_grid", _bounds(), 1), _depth(rng), []
@@ -161,6 +164,7 @@ _WHAT = ("nothing", "nothing", "depth", "one bit", "camera", "bias", "light", "f
 _WHAT += ("verify", "other image")
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(
     ("pipeline", "more"),
@@ -191,6 +195,7 @@ def test_whatever_changes_between_frames(
         pair.check(now["depth"], now["camera"], now["lights"], now["bias"])
 
 
+@pytest.mark.wide
 def test_rays_that_another_pipeline_has_overwritten_are_made_again(projected: list[int]) -> None:
     """Pipeline auto with one thread: mesh_bvh traces a frame in between, light after light in the same place. A ray so
     near to its light that it is tested by itself would be that of another light."""

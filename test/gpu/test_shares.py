@@ -109,6 +109,7 @@ class _Ways:
         monkeypatch.setattr(Workers, "run", counted)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("names", _SIDE_BY_SIDE)
 def test_kernels_are_loaded_in_one_thread(names: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first frame of its kind in one thread, be the scene empty or not; those that follow in several."""
@@ -127,6 +128,7 @@ def test_kernels_are_loaded_in_one_thread(names: str, monkeypatch: pytest.Monkey
     assert by_threads(), "an empty scene has been there before"
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("names", _SIDE_BY_SIDE)
 def test_a_warm_up_loads_what_threads_need(names: str, monkeypatch: pytest.MonkeyPatch) -> None:
     tracer = _with_a_ball(_tracer(names))
@@ -137,6 +139,7 @@ def test_a_warm_up_loads_what_threads_need(names: str, monkeypatch: pytest.Monke
     assert ways.by_threads == 2 * 2 * _passes(names)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_first_frame_loads_the_sorting_kernel_whatever_it_holds(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the second frame, whose shares work side by side, would load it in several threads at once."""
@@ -156,6 +159,7 @@ def test_a_first_frame_loads_the_sorting_kernel_whatever_it_holds(count: int, mo
     assert "sort_pairs_cpu" in launched
 
 
+@pytest.mark.wide
 def test_a_stage_that_one_share_does_for_all_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of shares side by side the slowest is told, and what only others did."""
     tracer = _with_a_ball(_tracer("brute_force"))

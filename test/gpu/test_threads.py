@@ -47,6 +47,7 @@ def shares(made: ShadowTracer) -> list[share.Share]:
     return team
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("names", _VARIANTS, ids="/".join)
 @pytest.mark.parametrize("threads", [2, 3])
 def test_every_number_of_threads_gives_the_same_bits(names: tuple[str, str], threads: int) -> None:
@@ -61,6 +62,7 @@ def test_every_number_of_threads_gives_the_same_bits(names: tuple[str, str], thr
     assert sum(part.frame.count for part in shares(made)) == _COUNT
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_shares_divide_what_is_made_on_demand(threads: int) -> None:
     """Whoever makes it, it is the same; and everything that any share asked for is there."""
@@ -76,6 +78,7 @@ def test_shares_divide_what_is_made_on_demand(threads: int) -> None:
         assert (way._candidates._made.numpy()[np.unique(asked // 8)] == 2).all()
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("kept", ["top", "bottom", "middle", "none", "one"])
 def test_measurements_in_one_place(kept: str) -> None:
     """Bands have equal numbers of measurements, as far as there is room: five eighths of all pixels at most."""
@@ -91,6 +94,7 @@ def test_measurements_in_one_place(kept: str) -> None:
     assert max(part.frame.count for part in shares(made)) <= math.ceil(0.625 * _COUNT)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(("count", "used"), [(51200, 1), (40960, 1), (40958, 2), (32768, 2)])
 def test_samples_that_one_share_would_be_enough_for_if_it_had_room(count: int, used: int) -> None:
     """25,600 are too few for two threads; a share has room for five eighths of ``max_rays``."""
@@ -124,6 +128,7 @@ def test_images_that_do_not_divide(shape: tuple[int, int]) -> None:
     assert np.array_equal(*both)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("names", _VARIANTS[:2], ids="/".join)
 def test_small_lists_of_every_share(names: tuple[str, str]) -> None:
     seen = view()
@@ -166,6 +171,7 @@ def test_a_static_light_sets_nothing_up_again(monkeypatch: pytest.MonkeyPatch) -
     assert not calls and states_again.counters["triangles"] == len(seen.triangles)
 
 
+@pytest.mark.wide
 def test_pipelines_change_and_verify_works_beside_shares() -> None:
     seen, made = view(), tracer(("light_grid", "packed"), 2)
     expected = states(made, seen)
@@ -185,6 +191,7 @@ def test_few_samples_take_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.array_equal(states(made, small), states(tracer(("light_grid", "packed"), 1), small))
 
 
+@pytest.mark.wide
 def test_both_shares_really_run_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each waits for the other in the middle of its work."""
     seen, made = view(), tracer(("light_grid", "packed"), 2)

@@ -11,6 +11,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 import views
 
@@ -137,23 +138,35 @@ def _behind_a_wall(tracers: Any, device: str, variant: str, size: int, centre: t
     return counters
 
 
-@pytest.mark.parametrize("variant", ["precise_sea", "precise_eatp", "precise_seatp", "linear"])
+# Leaves that one thread walks in the CUDA form of linear, times the rays of a leaf.
+_CHUNK = 64 * 32
+
+
+def _in_chunks(device: str, variant: str) -> bool:
+    """Whether large triangles are dealt to many threads, a chunk of the leaves each: then no thread sees the whole
+    tree."""
+    return variant == "linear_scalar" or (variant == "linear" and not probe.wide(device))
+
+
+@pytest.mark.parametrize("variant", ["precise_sea", "precise_eatp", "precise_seatp", "linear", "linear_scalar"])
 @pytest.mark.parametrize("size", [16, 64, 256])
 def test_a_wall_costs_log_n_nodes(tracers: Any, any_device: str, variant: str, size: int) -> None:
     """One of the wall's two triangles covers the view: it is accepted near the root, and no ray is tested."""
     counters = _behind_a_wall(tracers, any_device, variant, size, (40.0, -40.0))
     levels = math.log(size * size, 4)
     assert 0 < counters["nodes_visited"] <= 2 * 4 * levels
-    assert 0 < counters["accepted"] <= 16 and counters["leaf_tests"] == 0
+    most = 16 + (size * size // _CHUNK if _in_chunks(any_device, variant) else 0)
+    assert 0 < counters["accepted"] <= most and counters["leaf_tests"] == 0
     without = _behind_a_wall(tracers, any_device, "precise_sorted", size, (40.0, -40.0))
     assert without["nodes_visited"] > size * size / 4 and without["leaf_tests"] >= size * size
 
 
-@pytest.mark.parametrize("variant", ["precise_sea", "precise_eatp", "precise_seatp", "linear"])
+@pytest.mark.parametrize("variant", ["precise_sea", "precise_eatp", "precise_seatp", "linear", "linear_scalar"])
 def test_a_diagonal_through_the_view_costs_its_length(tracers: Any, any_device: str, variant: str) -> None:
     """Nodes on the diagonal belong to both triangles and are accepted by neither: their number grows with the image's
-    side, not with its area."""
+    side, not with its area. Leaves of the CUDA form hold twice the rays."""
+    most = 16 if _in_chunks(any_device, variant) else 8
     for size in (16, 64, 256):
         counters = _behind_a_wall(tracers, any_device, variant, size, (0.01, -0.02))
         assert counters["accepted"] > 0
-        assert counters["nodes_visited"] <= 8 * size and counters["leaf_tests"] <= 8 * size
+        assert counters["nodes_visited"] <= 8 * size and counters["leaf_tests"] <= most * size

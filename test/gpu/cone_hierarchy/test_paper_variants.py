@@ -158,7 +158,9 @@ def test_a_wall_costs_little_with_early_accept(any_device: str, variant: str) ->
     if variant in ACCEPTING:
         assert small["accepted"] > 0 and large["accepted"] > 0
         assert large["nodes_visited"] < 6 * small["nodes_visited"]
-        assert near["nodes_visited"] == far["nodes_visited"] <= 2
+        assert max(near["nodes_visited"], far["nodes_visited"]) <= 2
+        # Elsewhere it depends on which of the wall's two triangles comes first.
+        assert near["nodes_visited"] == far["nodes_visited"] or not probe.wide(any_device)
     else:
         assert small["accepted"] == large["accepted"] == 0
         assert large["nodes_visited"] > 12 * small["nodes_visited"]

@@ -47,6 +47,7 @@ from typing import Any
 import bundles
 import geometry
 import numpy as np
+import probe
 import pytest
 import views
 from scenario import Scenario
@@ -287,24 +288,37 @@ def test_light_exactly_above(tracer: Any, bias: float) -> None:
 # --- P17: far lights ---
 
 _TOWARDS = np.array([0.42, -0.16, -0.89])
+_WITHOUT_ACCEPTING = {
+    "precise_sea": "precise_sorted",
+    "precise_seatp": "precise_sorted",
+    "precise_eatp": "precise",
+}
 
 
 @pytest.mark.parametrize("variant", _VARIANTS)
 def test_far_lights_cost_no_more_nodes(tracers: Any, any_device: str, variant: str) -> None:
-    """All rays within a microradian: keys and cones still tell them apart, as they do under the sun."""
+    """All rays within a microradian: keys and cones still tell them apart, as they do under the sun.
+
+    Where nodes are accepted and threads work side by side, how many nodes are left to look at depends on who comes
+    first. There the bound is that of the variant that accepts nothing, in as many passes.
+    """
     view = views.procedural_view("robots", "corridor", 64, views.SMALL)
-    tracer = tracers(any_device, "cone_hierarchy", variant)
-    tracer.scene.put("mesh", view.vertices, view.triangles)
 
-    def nodes(light: Any) -> int:
-        count: int = tracer.trace(view.depth, view.camera, [light], view.bias).counters["nodes_visited"]
-        return count
+    def counters(variant: str, light: Any) -> dict[str, int]:
+        tracer = tracers(any_device, "cone_hierarchy", variant)
+        tracer.scene.put("mesh", view.vertices, view.triangles)
+        found: dict[str, int] = tracer.trace(view.depth, view.camera, [light], view.bias).counters
+        return found
 
-    sun = nodes(DirectionalLight("sun", _TOWARDS))
+    sun = counters(variant, DirectionalLight("sun", _TOWARDS))
+    most = sun["nodes_visited"]
+    if not probe.wide(any_device) and variant in _WITHOUT_ACCEPTING:
+        most = sun["passes"] * counters(_WITHOUT_ACCEPTING[variant], DirectionalLight("sun", _TOWARDS))["nodes_visited"]
     for distance in (1e4, 1e6, 1e8):
-        assert nodes(PointLight("star", -_TOWARDS * distance)) <= 1.1 * sun, f"{distance} m, the sun costs {sun}"
-    near = nodes(PointLight("lamp", -_TOWARDS * 100.0))
-    assert sun <= 3 * near
+        star = counters(variant, PointLight("star", -_TOWARDS * distance))
+        assert star["nodes_visited"] <= 1.1 * most, f"{distance} m, the sun costs {sun}"
+    near = counters(variant, PointLight("lamp", -_TOWARDS * 100.0))
+    assert sun["nodes_visited"] <= 3 * near["nodes_visited"]
 
 
 @pytest.mark.parametrize("variant", [name for name in _VARIANTS if name.startswith("linear") or "_s" in name])

@@ -104,6 +104,7 @@ def _far_and_near(seed: int = 482) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.concatenate([vertices, far]), triangles, points
 
 
+@pytest.mark.wide
 def test_only_what_may_concern_the_rays_is_made() -> None:
     vertices, triangles, points = _far_and_near()
     tracer, oracle = _tracer("light_grid"), _tracer("brute_force")  # without an anchor yet
@@ -137,6 +138,7 @@ def test_only_what_may_concern_the_rays_is_made() -> None:
     check(wide, PointLight("lamp", (-0.4, 0.3, 0.9)))
 
 
+@pytest.mark.wide
 def test_rays_outside_of_the_tiles_are_shown_everything() -> None:
     """A sample within 2^-22 of the light does not fit into light space; another is there so that there are tiles."""
     vertices, triangles, points = _far_and_near()

@@ -237,7 +237,7 @@ def _hidden(device: str, name: str, seed: int) -> list[np.ndarray]:
 
 
 def _variants(device: str) -> tuple[str, ...]:
-    return packed_grid.VARIANTS if device == "cpu" else ("packed_scalar",)
+    return packed_grid.VARIANTS if probe.wide(device) else ("packed_scalar",)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -163,6 +163,7 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("kernels")
 
 
+@pytest.mark.wide
 @pytest.mark.slow
 @pytest.mark.parametrize("mutant", _MUTANTS)
 def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels: Path) -> None:
