@@ -32,14 +32,15 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
     tracer.release_verify()
     tracer._last = None
     engine: Any = tracer._engine
-    engine._anchor, engine._lights = None, ()
-    engine._samples.forget()
-    engine._context.records.forget()
-    engine._balances = {names: type(balance)(balance._shares) for names, balance in engine._balances.items()}
+    inside: Any = engine.inside
+    inside._anchor, inside._lights = None, ()
+    inside._samples.forget()
+    inside._context.records.forget()
+    inside._balances = {names: type(balance)(balance._shares) for names, balance in inside._balances.items()}
     if engine._chooser is not None:
-        engine._chooser = type(engine._chooser)(engine._chooser.candidates)
-        engine._team = engine._teams[engine._chooser.candidates[0]]
-    for share in engine._all_shares():
+        engine._chooser = inside._chooser = type(engine._chooser)(engine._chooser.candidates)
+        inside._team = inside._teams[engine._chooser.candidates[0]]
+    for share in inside._all_shares():
         _forget(share)
     return tracer
 
