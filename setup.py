@@ -49,7 +49,15 @@ setup(
         "demo": ["pillow>=10.3", "rich>=13.7"],
         "benchmark": ["embreex>=2.17.7", "matplotlib>=3.8", "pillow>=10.3", "rich>=13.7", "trimesh>=4.4"],
         # DracoPy is optional to mesh.files: only Draco-compressed glTF needs it.
-        "test": ["DracoPy>=1.5", "pillow>=10.3", "pytest>=8.2", "pytest-xdist>=3.6", "pyyaml>=6.0", "setuptools>=64"],
+        "test": [
+            "DracoPy>=1.5",
+            "pillow>=10.3",
+            "pytest>=8.2",
+            "pytest-randomly>=3.16",
+            "pytest-xdist>=3.6",
+            "pyyaml>=6.0",
+            "setuptools>=64",
+        ],
         # Upper bounds: a new release of these may find new faults in old code.
         "dev": ["build>=1.2", "mypy>=2.4,<2.5", "pre-commit>=4.0", "ruff>=0.17,<0.18"],
     },

@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Iterator
 from typing import Any
 
+import last_bits
 import orders
 import probe
 import pytest
@@ -36,6 +37,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--task-order", choices=sorted(orders.ORDERS), help="order of the tasks of each launch on the CPU")
     group.addoption("--task-seed", type=int, default=1, help="chooses among the random task orders (default: 1)")
+    group.addoption("--last-bits", type=int, metavar="SEED", help="run with another numpy, see test/last_bits.py")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -47,11 +49,16 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("--task-order"):
         order, seed = config.getoption("--task-order"), config.getoption("--task-seed")
         how.append(f"task order: {order}, seed {seed}, kernels in {orders.install(order, seed)}")
+    if config.getoption("--last-bits") is not None:
+        last_bits.install(config.getoption("--last-bits"))
+        how.append(f"last bits: other ones, seed {config.getoption('--last-bits')}")
     config.stash[_HOW_IT_RAN] = how
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """How to run the same again; the header that usually says it is missing from quiet runs."""
+    if config.pluginmanager.hasplugin("randomly"):
+        config.stash[_HOW_IT_RAN].append(f"test order: random, --randomly-seed={config.getoption('randomly_seed')}")
     for line in config.stash[_HOW_IT_RAN]:
         terminalreporter.write_line(line)
 

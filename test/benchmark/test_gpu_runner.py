@@ -157,6 +157,8 @@ def test_summary_of_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         "-q",
         "-p",
         "no:cacheprovider",
+        "-p",
+        "no:randomly",
         f"--rootdir={tmp_path}",
         "-c",
         os.devnull,
