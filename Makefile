@@ -34,7 +34,7 @@ FIND_PYTHON = for p in $(or $(PYTHON),python3.12 python3.11 python3.10 python3 p
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test benchmark lint format types wheel clean distclean FORCE
+.PHONY: help demo test quick benchmark lint format types wheel clean distclean FORCE
 
 help: ## this list
 	@echo "make <target>, with PYTHON=<interpreter> to choose the Python that .venv is made with"
@@ -45,6 +45,9 @@ demo: $(VENV)/.has-demo ## play a moving scene through the node, pictures into d
 
 test: $(VENV)/.has-test ## all tests, on up to four cores; ARGS="-k name" passes options to pytest, ARGS="-n 0" takes one process
 	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile $(ARGS)
+
+quick: $(VENV)/.has-test ## the tests of the inner loop: no case over a second, of each pipeline its default variant; ARGS as for test
+	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m "not slow" --default-variants --find-slow $(ARGS)
 
 benchmark: $(VENV)/.has-benchmark ## the suite beside Embree, wp.Mesh and others, figures and plots into benchmark_output/; ARGS="--quick" is short
 	@$(PY) benchmark/suite.py --out benchmark_output $(ARGS)

@@ -14,6 +14,7 @@ import last_bits
 import orders
 import probe
 import pytest
+import slow_cases
 
 # Small enough to be made once per pipeline, large enough for every real mesh of the suite.
 BOUNDS = {
@@ -39,6 +40,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--task-seed", type=int, default=1, help="chooses among the random task orders (default: 1)")
     group.addoption("--last-bits", type=int, metavar="SEED", help="run with another numpy, see test/last_bits.py")
 
+    group = parser.getgroup("inner loop", "what make quick leaves out")
+    group.addoption("--default-variants", action="store_true", help="of each pipeline its default variant alone")
+    group.addoption("--find-slow", action="store_true", help="name cases that want the mark slow")
+
 
 def pytest_configure(config: pytest.Config) -> None:
     how: list[str] = []
@@ -52,6 +57,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("--last-bits") is not None:
         last_bits.install(config.getoption("--last-bits"))
         how.append(f"last bits: other ones, seed {config.getoption('--last-bits')}")
+    if config.getoption("--find-slow"):
+        config.pluginmanager.register(slow_cases.Meter(config), "slow cases")
     config.stash[_HOW_IT_RAN] = how
 
 
@@ -75,14 +82,14 @@ def _devices() -> list[str]:
     return ["cpu", "cuda:0"] if warp.is_cuda_available() else ["cpu"]
 
 
-def _cases() -> list[tuple[str, str, str]]:
+def _cases(default_variants: bool) -> list[tuple[str, str, str]]:
     from shadow_tracer import available_pipelines
 
     return [
         (device, name, variant)
         for device in _devices()
         for name, variants in available_pipelines().items()
-        for variant in variants
+        for variant in (variants[:1] if default_variants else variants)
     ]
 
 
@@ -133,7 +140,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "tracer_case" in metafunc.fixturenames:
-        cases = _cases()
+        cases = _cases(metafunc.config.getoption("--default-variants"))
         metafunc.parametrize("tracer_case", cases, ids=["-".join(case) for case in cases], scope="session")
     elif "any_device" in metafunc.fixturenames:
         metafunc.parametrize("any_device", _devices(), scope="session")

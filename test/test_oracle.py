@@ -30,6 +30,7 @@ def _lights(vertices: np.ndarray) -> list[PointLight | DirectionalLight]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", _MESHES)
 def test_fast_oracle_equals_the_literal_definition(kind: str) -> None:
     rng = np.random.default_rng(20)

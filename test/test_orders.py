@@ -47,6 +47,7 @@ def _orders(tmp_path: Path, order: str, seed: int = 1) -> list[list[int]]:
     return [[int(task) for task in line[1:]] for line in lines if line[:1] == ["tasks"]]
 
 
+@pytest.mark.slow
 def test_all_tasks_come_once_in_the_order_asked_for(tmp_path: Path) -> None:
     usual = _orders(tmp_path, "")
     assert all(order == list(range(len(order))) for order in usual)

@@ -66,6 +66,7 @@ def _rgbd_expected(sequence: str, number: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([a.hidden for a in answers]).reshape(shape), np.stack([a.tie for a in answers]).reshape(shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sequence,number", _FRAMES)
 def test_depth_frames_against_fused_meshes(tracer: Any, sequence: str, number: int) -> None:
     vertices, triangles = data.mesh(f"rgbd_{sequence}_fused")
@@ -128,6 +129,7 @@ def _view(name: str, sun: bool) -> tuple[np.ndarray, Any, float, oracle.Answer]:
     return points, light, bias, oracle.occluded(points, light, vertices, triangles, bias, cull=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sun", [False, True], ids=["lamp", "sun"])
 @pytest.mark.parametrize("name", _VIEWS)
 def test_architecture(tracer: Any, name: str, sun: bool) -> None:
@@ -171,6 +173,7 @@ def _robots(frame: int) -> tuple[np.ndarray, np.ndarray, oracle.Answer]:
 _ROBOT_LAMP = PointLight("lamp", (0.0, 27.0, -165.0))
 
 
+@pytest.mark.slow
 def test_robots_in_motion(tracer: Any) -> None:
     """Five moments of the BART robots: the same triangles, 87 % of the vertices move, so a tree is refitted, not
     built."""

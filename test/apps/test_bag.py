@@ -168,6 +168,7 @@ _ROS = ("rclpy", "rcl_interfaces", "builtin_interfaces", "sensor_msgs", "shape_m
         "visualization_msgs", "diagnostic_msgs", "std_srvs", "tf2_ros", "ament_index_python")  # fmt: skip
 
 
+@pytest.mark.slow
 def test_it_needs_no_ros_and_gives_the_same_bytes_twice(drive: tuple[Path, list[np.ndarray]], tmp_path: Path) -> None:
     folder, _ = drive
     files = [tmp_path / name / "out.mcap" for name in ("here", "there")]

@@ -137,6 +137,7 @@ def test_missing_mesh_file_and_frame_number_are_refused(folder: Path) -> None:
         FolderSequence(folder).view(2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["livingroom1", "redkitchen"])
 def test_lights_for_real_places_make_shadows(name: str) -> None:
     """Each light reaches a good part of what it shines at, but not all, in the eyes of the library itself."""

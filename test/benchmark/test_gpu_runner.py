@@ -17,6 +17,7 @@ import pytest
 pytest.importorskip("warp")
 
 _BENCHMARK = Path(__file__).resolve().parents[2] / "benchmark"
+pytestmark = pytest.mark.slow
 _METHODS = ("light_grid/packed", "cone_hierarchy/linear", "wp.Mesh refit + any-hit", "wp.Bvh rebuild + any-hit")
 
 # One pipeline cannot be loaded, and a second ends its process without a word.

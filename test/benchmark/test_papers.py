@@ -37,6 +37,7 @@ def _run(program: str, folder: Path, *options: str) -> tuple[str, list[dict[str,
     return done.stdout, json.loads(path.read_text())["rows"]
 
 
+@pytest.mark.slow
 def test_cone_hierarchy_without_data(tmp_path: Path) -> None:
     sizes = ("--size", "24", "--museum-size", "16", "--triangles", "2000", "--frames", "1")
     text, rows = _run("papers_cone_hierarchy.py", tmp_path, *sizes)
@@ -50,6 +51,7 @@ def test_cone_hierarchy_without_data(tmp_path: Path) -> None:
     assert nodes["room, inside", "precise_sorted"] < nodes["room, inside", "precise"]
 
 
+@pytest.mark.slow
 def test_light_grid_without_data(tmp_path: Path) -> None:
     sizes = ("--size", "24", "--triangles", "2000", "--frames", "1", "--procedural")
     text, rows = _run("papers_light_grid.py", tmp_path, *sizes)

@@ -64,6 +64,7 @@ def _run(section: str, settings: Settings = _TINY) -> dict[str, Any]:
     return suite.run(settings, [section], quiet=True)[section]
 
 
+@pytest.mark.slow
 def test_everybody_takes_part_and_ours_are_right() -> None:
     found = _run("scenes")
     rows = {row["method"]: row for row in found["rows"]}
@@ -88,6 +89,7 @@ def test_every_variant_is_measured() -> None:
     assert measured == {f"{name}/{v}" for name, variants in available_pipelines().items() for v in variants}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", ["rays", "triangles", "lights"])
 def test_growth_is_from_row_to_row(section: str) -> None:
     rows = [row for row in _run(section)["rows"] if row["method"] == "light_grid/packed"]
@@ -106,6 +108,7 @@ def test_finer_shadow_maps_are_less_wrong() -> None:
         assert (row["ms (not exact)"] is None) == (row["rasteriser"] == "numpy")
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_a_process_of_its_own() -> None:
     settings = replace(_TINY, pipelines=(("light_grid", "packed"),), held=(("mesh_bvh", "refit"),))
     rows = {row["method"]: row for row in _run("memory", settings)["rows"]}
@@ -249,6 +252,7 @@ def test_targets_of_growth_and_lights() -> None:
     assert found == [1.5, 9.0]
 
 
+@pytest.mark.slow
 def test_the_program_writes_figures_and_plots(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="plots need matplotlib")
     done = subprocess.run(
@@ -269,6 +273,7 @@ def test_the_program_writes_figures_and_plots(tmp_path: Path) -> None:
     assert picture.read_bytes()[:4] == b"\x89PNG" and picture.stat().st_size < 256 * 1024
 
 
+@pytest.mark.slow
 def test_plots_of_all_sections_are_small(tmp_path: Path) -> None:
     plots = pytest.importorskip("plots", reason="plots need matplotlib")
     settings = replace(_TINY, pipelines=(("light_grid", "packed"),))

@@ -20,6 +20,7 @@ def test_modules_are_found():
     assert not {"buffers", "exact", "stages", "triangles"} & set(found), "no kernels there"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", modules())
 def test_kernels_compile_for_cuda(module: str, machine_code: Callable[[str], Path]) -> None:
     assert 0 < machine_code(module).stat().st_size < MOST_BYTES, "much code takes for ever to compile (pitfall P23)"

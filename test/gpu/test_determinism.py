@@ -13,6 +13,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import pytest
 
 from shadow_tracer import Bias, Camera, DirectionalLight, PointLight, SpotLight, available_pipelines
 
@@ -60,6 +61,7 @@ def test_twice_and_after_unrelated_work(tracer: Any) -> None:
     assert {0, 1, 2, 3} <= set(states.tolist()), "a scene with all states in it"
 
 
+@pytest.mark.slow
 def test_select_switches_at_run_time(tracers: Any, any_device: str) -> None:
     """Every pipeline, one after the other, on one tracer whose scene stays, moves, and changes in between."""
     tracer = tracers(any_device, "mesh_bvh", "refit")
@@ -89,6 +91,7 @@ for device, pipeline, variant in {cases!r}:
 """
 
 
+@pytest.mark.slow
 def test_fresh_process(tracers: Any, any_device: str) -> None:
     """One child process, other bounds, all pipelines: the digests are those of this process."""
     cases = [(any_device, name, variant) for name, variants in available_pipelines().items() for variant in variants]

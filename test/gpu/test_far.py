@@ -163,6 +163,7 @@ def _teapot_in_stadium(inside: bool) -> Scenario:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inside", [True, False], ids=["near", "outside"])
 def test_teapot_in_stadium(tracer: Any, inside: bool) -> None:
     scenario = _teapot_in_stadium(inside)

@@ -12,6 +12,7 @@ from benchmark import kernel_budget
 from benchmark.kernel_resources import Kernel, excess, modules, read_kernels
 
 wp = pytest.importorskip("warp")
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -134,6 +134,7 @@ def _recorded(sequence: str, number: int) -> tuple[np.ndarray, Camera, tuple[Any
     return *depth_image.smaller(depth, whole, 16), lights
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sequence", _SEQUENCES)
 def test_recorded_sequences(tracer: Any, tracers: Any, sequence: str) -> None:
     """Frames played in order over a mesh that stays: the camera and the carried light move, the ceiling lamp does not.

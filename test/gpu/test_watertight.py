@@ -40,7 +40,7 @@ def _leaks(tracer: Any, vertices: np.ndarray, triangles: np.ndarray, samples: np
 
 @pytest.mark.parametrize("origin", _ORIGINS)
 @pytest.mark.parametrize("radius", [1.0, 50.0])
-@pytest.mark.parametrize("subdivisions", [2, 3, 4])
+@pytest.mark.parametrize("subdivisions", [2, 3, pytest.param(4, marks=pytest.mark.slow)])
 def test_closed_sphere(tracer: Any, subdivisions: int, radius: float, origin: str) -> None:
     vertices, triangles, samples = _aimed(subdivisions, radius, origin)
     centre = np.asarray(_ORIGINS[origin])

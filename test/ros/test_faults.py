@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from benchmark import faults
+
+pytestmark = pytest.mark.slow
 
 
 def test_publishers_may_be_killed_and_come_back() -> None:

@@ -64,6 +64,7 @@ def listener() -> Iterator[tuple[SingleThreadedExecutor, list[int], Node]]:
     rclpy.try_shutdown(context=context)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     get_rmw_implementation_identifier() != "rmw_fastrtps_cpp", reason="the profile is for Fast DDS, this is another RMW"
 )

@@ -211,6 +211,7 @@ def test_the_profile_of_fast_dds() -> None:
     assert participant.findtext(f".//{space}useBuiltinTransports") == "false"
 
 
+@pytest.mark.slow
 def test_the_node_starts_with_what_the_launch_file_gives_it(description: Any) -> None:
     """Its command line and environment, in a process; the log shows name and namespace."""
     pytest.importorskip("rclpy", reason="needs rclpy: pip install 'shadow_tracer[ros]'")

@@ -238,6 +238,7 @@ def test_files_are_read_when_it_becomes_active(tmp_path: Any) -> None:
         rig.until(lambda: rig.value(MESH, "parts") == "1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "when"),
     [
@@ -263,6 +264,7 @@ def test_signals_end_the_program_cleanly(number: signal.Signals, when: str, tmp_
         assert not any("[ERROR]" in line for line in process.out), process.out
 
 
+@pytest.mark.slow
 def test_a_bad_parameter_is_an_error_of_the_program() -> None:
     with NodeProcess({"pose_source": "gps"}, command=COMMAND) as process:
         code, errors = process.wait()

@@ -301,6 +301,7 @@ def test_always_the_newest_frame_and_dropped_ones_are_counted(rig: Rig) -> None:
     assert missed == len(stamps) - answered
 
 
+@pytest.mark.slow
 def test_a_stale_mesh_makes_the_mask_unknown() -> None:
     with Rig({"mask.unknown_value": UNKNOWN, "mesh.max_age": 1.0}) as rig:
         rig.send_mesh(*plate())
@@ -347,6 +348,7 @@ def test_a_mesh_published_before_the_node_came_arrives() -> None:
         assert shadow_size(rig.trace(wall()))
 
 
+@pytest.mark.slow
 def test_durability_follows_all_publishers() -> None:
     """With one volatile publisher a transient local subscription would be deaf to it."""
     with Rig(latched=True) as rig:

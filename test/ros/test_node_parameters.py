@@ -308,6 +308,7 @@ def test_misspelt_overrides_are_warned_about(capfd: pytest.CaptureFixture[str]) 
     assert "did you mean qos_overrides./mesh.subscription.depth?" in text
 
 
+@pytest.mark.slow
 def test_diagnostics_period(rig: Rig) -> None:
     rig.settle(0.2)
     assert rig.set(diagnostics_period=1.0) == ""

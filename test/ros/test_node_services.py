@@ -113,6 +113,7 @@ def test_a_node_that_starts_tests_itself_when_it_can(monkeypatch: pytest.MonkeyP
         rig.until(lambda: rig.node and rig.node.ready)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, 0.1])
 def test_a_signal_amid_a_self_test_ends_the_node_cleanly(delay: float) -> None:
     with NodeProcess() as process, Rig(start=False) as rig:

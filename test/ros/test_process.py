@@ -23,6 +23,7 @@ from shadow_tracer.ros.diagnostics import DEVICE, ERROR, OK, PROCESSING
 from shadow_tracer.ros.node import spin
 
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.slow
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
 
 

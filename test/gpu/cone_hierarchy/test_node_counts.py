@@ -59,6 +59,7 @@ def test_the_seven_variants_have_their_names() -> None:
     assert set(_SEVEN) <= set(available_pipelines()["cone_hierarchy"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("test", ["precise", "spheres"])
 def test_sorting_pays_where_neighbours_see_things_far_apart(counts: Counts, any_device: str, test: str) -> None:
     """Ten times fewer nodes in the museum (the paper's Table 2 has 40 to 85 at a larger image)."""

@@ -154,6 +154,7 @@ def test_closed_meshes_have_no_holes(depth_camera, seed):
     assert np.isfinite(depth).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_rational_numbers(depth_camera, plain_forms, seed):
     """Integer corners, every triangle twice, and a camera on the lattice: ties everywhere, decided with fractions."""
@@ -179,6 +180,7 @@ def test_rational_numbers(depth_camera, plain_forms, seed):
         assert number < 60
 
 
+@pytest.mark.slow
 def test_map_coordinates(depth_camera):
     """Half a million metres from the origin an image is the same to the last bit, where coordinates have room."""
     vertices, triangles = VIEWS["street"][0]

@@ -15,6 +15,7 @@ from shadow_tracer import Bounds, Camera, Scene
 ODD = ((1, 1), (1, 7), (9, 1), (8, 8), (17, 33), (130, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VIEWS)
 def test_closest_hit(depth_camera, plain_forms, name):
     mesh, camera = VIEWS[name]
@@ -162,6 +163,7 @@ def _adversarial(seed: int) -> tuple[tuple[np.ndarray, np.ndarray], Camera]:
     return (vertices, triangles), camera
 
 
+@pytest.mark.slow
 def test_adversarial(any_device, depth_camera, plain_forms):
     """Many small images; of each, both plain_forms and any capacity give the same, in any order of the triangles."""
     from shadow_tracer.gpu.devices import pick_device
