@@ -45,6 +45,29 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
     return tracer
 
 
+def trace_points(tracer: ShadowTracer, points: Any, lights: Any, bias: float = 0.0, valid: Any = None) -> Any:
+    """States of (N, 3) points, those that are not ``valid`` left out, with the counters that ``states_at`` drops."""
+    return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid)
+
+
+def forget_anchor(tracer: ShadowTracer) -> None:
+    """The anchor of an earlier frame, which serves again where it can, is not used."""
+    inside: Any = tracer._engine.inside
+    inside._anchor = None
+
+
+def recordings(tracer: ShadowTracer) -> int:
+    """How many kinds of frames have been recorded."""
+    graphs: Any = tracer._engine.inside._graphs
+    count: int = graphs.recorded()
+    return count
+
+
+def loaded(tracer: ShadowTracer) -> set[Any]:
+    """What has been launched on the tracer's device by anybody."""
+    return tracer._engine._seat.loaded
+
+
 def _forget(share: Any) -> None:
     if share._kept is not None:
         share._kept.forget()

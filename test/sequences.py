@@ -14,6 +14,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 
 from shadow_tracer import Bias, Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SphereLight, SpotLight
 
@@ -64,8 +65,7 @@ class Step:
         if self.points is not None:
             valid = np.isfinite(self.points).all(axis=1)
             points = np.where(valid[:, None], self.points, 0.0)
-            traced = tracer._engine.trace_points(tracer.scene, points, self.lights, self.bias.constant, valid)
-            return dict(traced.counters)
+            return dict(probe.trace_points(tracer, points, self.lights, self.bias.constant, valid).counters)
         return dict(tracer.trace(self.depth, self.camera, self.lights, self.bias).counters)
 
 

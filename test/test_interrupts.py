@@ -77,6 +77,7 @@ def _changed(tracer: ShadowTracer, number: int) -> None:
     tracer.scene.put("mesh", *_mesh(2 + number % 3))
 
 
+@pytest.mark.slow
 # What a handler raises while an object is being deleted is printed by Python, and lost.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("threads", _THREADS)
@@ -121,6 +122,7 @@ _KINDS: list[tuple[str, int, dict[str, Any]]] = [
         if (question, kind[0]) != ("states_at", "cone_hierarchy/precise")
     ],
 )
+@pytest.mark.slow
 def test_an_exception_at_any_step(question: str, names: str, threads: int, more: dict[str, Any]) -> None:
     """At steps of all functions that a frame runs, Warp's among them; the same ones in every run."""
     tracer, steps = _tracer(names, threads, **more), Steps()

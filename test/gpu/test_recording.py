@@ -12,6 +12,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 import warp as wp
 from interrupts import Ring
@@ -48,11 +49,6 @@ def _expected(device: str, steps: int) -> list[bytes]:
     return [_frame(tracer, step) for step in range(steps)]
 
 
-def _recorded(tracer: ShadowTracer) -> int:
-    count: int = tracer._engine.inside._graphs.recorded()
-    return count
-
-
 @pytest.mark.parametrize("names", _RECORDABLE)
 def test_a_recording_that_fails_is_replaced_by_launches(
     names: str, any_device: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
@@ -70,7 +66,7 @@ def test_a_recording_that_fails_is_replaced_by_launches(
     monkeypatch.setattr(share.Share, "trace", fails_while_recorded)
     with caplog.at_level(logging.WARNING):
         assert [_frame(tracer, step) for step in range(8)] == _expected(any_device, 8)
-    assert failures[0] == 2 and _recorded(tracer) == 0, "one attempt for each kind of frame"
+    assert failures[0] == 2 and probe.recordings(tracer) == 0, "one attempt for each kind of frame"
     (said,) = [record.getMessage() for record in caplog.records]
     assert said.startswith(f"{any_device}: ") and "no memory to be had while recording" in said
 
@@ -99,9 +95,10 @@ def test_an_exception_while_a_frame_is_recorded(names: str, any_device: str, mon
             _frame(tracer, 2)
         assert _recording(any_device)
     assert [_frame(tracer, step) for step in range(2, 8)] == expected[2:]
-    assert not _recording(any_device) and _recorded(tracer) == 2
+    assert not _recording(any_device) and probe.recordings(tracer) == 2
 
 
+@pytest.mark.slow
 def test_recording_beside_another_thread(any_device: str) -> None:
     """A tracer that records a new kind of frame all the time, depth images and another tracer in two other threads,
     threads changed as often as Python can."""
@@ -138,7 +135,7 @@ def test_recording_beside_another_thread(any_device: str) -> None:
         for _ in range(12):
             tracer = _tracer("light_grid/packed_scalar", any_device)
             assert [_frame(tracer, step) for _ in range(3) for step in range(4)] == 3 * expected
-            assert _recorded(tracer) == 2 and not wrong
+            assert probe.recordings(tracer) == 2 and not wrong
     finally:
         over.set()
         for thread in threads:
@@ -151,8 +148,8 @@ def test_kernels_are_loaded_while_nobody_else_is_at_work(any_device: str, monkey
     """Two threads that load the same kernels at once lose them: the first frame of a kind is alone on the device."""
     tracers = [_tracer("light_grid/packed", any_device, False) for _ in range(3)]
     expected = _expected(any_device, 1)[0]
-    seat: Any = tracers[0]._engine._seat
-    seat.loaded.clear()  # as if nobody had launched anything: whoever needs it loads it, and finds it there
+    loaded = probe.loaded(tracers[0])
+    loaded.clear()  # as if nobody had launched anything: whoever needs it loads it, and finds it there
     inside: list[int] = []
     entered, alone = threading.Event(), []
     trace = frame_tracer.FrameTracer.trace_depth
@@ -161,7 +158,7 @@ def test_kernels_are_loaded_while_nobody_else_is_at_work(any_device: str, monkey
         inside.append(1)
         if len(inside) > 1:
             entered.set()
-        if not seat.loaded:  # nobody may come in while these are loaded, however long that takes
+        if not loaded:  # nobody may come in while these are loaded, however long that takes
             alone.append(not entered.wait(0.5))
         try:
             return trace(this, *arguments)
@@ -175,7 +172,7 @@ def test_kernels_are_loaded_while_nobody_else_is_at_work(any_device: str, monkey
         thread.start()
     for thread in threads:
         thread.join()
-    assert answers == 3 * [expected] and alone == [True] and seat.loaded
+    assert answers == 3 * [expected] and alone == [True] and loaded
 
 
 def test_devices_without_memory_pools_are_not_recorded() -> None:
