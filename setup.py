@@ -46,6 +46,8 @@ setup(
         "sun": ["ephem>=4.1.5"],
         # `shadow_tracer bag` on recordings, without ROS.
         "bag": ["pyyaml>=6.0", "rich>=13.7", "rosbags>=0.11", "scipy>=1.11"],
+        # Depth images of the transport compressedDepth that are PNG; RVL needs nothing.
+        "compressed": ["pillow>=10.3"],
         "demo": ["pillow>=10.3", "rich>=13.7"],
         "benchmark": ["embreex>=2.17.7", "matplotlib>=3.8", "pillow>=10.3", "rich>=13.7", "trimesh>=4.4"],
         # DracoPy is optional to mesh.files: only Draco-compressed glTF needs it.

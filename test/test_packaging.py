@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 NAME = "shadow_tracer"
 # Python packages whose ROS package has another name.
 ROS_PACKAGE_OF = {"tf2_ros": "tf2_ros_py"}
-PIP_PACKAGES = {"DracoPy", "ephem", "mapbox_earcut", "numpy", "scipy", "trimesh", "yaml"}
+PIP_PACKAGES = {"DracoPy", "PIL", "ephem", "mapbox_earcut", "numpy", "scipy", "trimesh", "yaml"}
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sensor_msgs.msg import CameraInfo, Image
 
 DEPTH_ENCODINGS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
-_LARGEST_SIDE = 2**16
+LARGEST_SIDE = 2**16
 _FOCAL_RANGE = (1e-3, 1e7)  # [px]
 
 
@@ -49,8 +49,8 @@ def decode_depth(msg: Image) -> npt.NDArray[Any]:
     if kind is None:
         raise MessageError(f"encoding: expected one of {', '.join(DEPTH_ENCODINGS)}, got {msg.encoding!r}")
     height, width, step = int(msg.height), int(msg.width), int(msg.step)
-    if not (1 <= height <= _LARGEST_SIDE and 1 <= width <= _LARGEST_SIDE):
-        raise MessageError(f"width, height: expected 1 to {_LARGEST_SIDE} pixels each, got {width} x {height}")
+    if not (1 <= height <= LARGEST_SIDE and 1 <= width <= LARGEST_SIDE):
+        raise MessageError(f"width, height: expected 1 to {LARGEST_SIDE} pixels each, got {width} x {height}")
     dtype = np.dtype((">" if msg.is_bigendian else "<") + kind)
     if step < width * dtype.itemsize:
         raise MessageError(f"step: expected at least {width * dtype.itemsize} bytes for {width} pixels, got {step}")
