@@ -197,7 +197,7 @@ def _info_make(rng: random.Random, number: int) -> Message:
     if kind < 2:
         return _mangled(rng, number, info)
     if kind == 2:
-        info.k[0] = 0.0
+        info.k[0] = info.p[0] = 0.0
         return Message(info, True)
     if kind == 3:
         info.p[rng.choice((0, 5))] = rng.choice((float("nan"), float("inf"), -1.0, -1e308))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from shadow_tracer.ros.diagnostics import ERROR, OK, WARN
 from shadow_tracer.ros.mesh_sources import TOPICS
 from shadow_tracer.ros.mesh_store import FILES
+from shadow_tracer.ros.messages import DISTORTED
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.transport import LARGE
 
@@ -58,7 +59,7 @@ def judge_depth(inputs: Inputs, settings: Settings, warning: str, busy_ms: float
     if lost > _MUCH:
         return WARN, f"{100 * lost:.0f} % of the images sent at {sent:.1f} Hz are lost; {_loss_hint(inputs)}", values
     # Drivers send a rectified image with the distortion of the raw one beside it: by its name it is rectified.
-    if warning and "rect" not in topic.rpartition("/")[2]:
+    if warning and not (warning.startswith(DISTORTED) and "rect" in topic.rpartition("/")[2]):
         return WARN, warning, values
     return OK, f"{inputs.depth_format} at {rate:.1f} Hz", values
 

@@ -78,17 +78,25 @@ class Intrinsics:
 
 
 def intrinsics(info: CameraInfo, width: int, height: int) -> Intrinsics:
-    """Intrinsics for a rectified depth image of this size: from P, or from K where P is not set.
+    """Intrinsics for a rectified depth image of this size: from P where P[0] is not 0, else from K.
+
+    P and K are of the full resolution. A region of interest shifts them and binning scales them, as the camera model of
+    ``image_geometry`` does: (c - offset) / binning, f / binning.
 
     Raises:
         MessageError: uncalibrated, not finite, focal length not positive, another image size.
     """
     k = [float(value) for value in info.k]
     p = [float(value) for value in info.p]
-    if k[0] == 0.0:
-        raise MessageError("camera_info.k: K[0] is 0, the camera is uncalibrated; calibrate it, or set K in the driver")
-    values = [p[0], p[5], p[2], p[6]] if p[0] != 0.0 else [k[0], k[4], k[2], k[5]]
+    if p[0] == 0.0 and k[0] == 0.0:
+        raise MessageError(
+            "camera_info.p, k: P[0] and K[0] are 0, the camera is uncalibrated; calibrate it, or set P or K in the "
+            "driver"
+        )
+    fx, fy, cx, cy = [p[0], p[5], p[2], p[6]] if p[0] != 0.0 else [k[0], k[4], k[2], k[5]]
     field = "camera_info.p" if p[0] != 0.0 else "camera_info.k"
+    (left, top), (across, down), doubt = _reduction(info, width, height)
+    values = [fx / across, fy / down, (cx - left) / across, (cy - top) / down]
     fx, fy, cx, cy = values
     # Comparisons with NaN are false. Beyond these limits squares of the numbers leave float64.
     low, high = _FOCAL_RANGE
@@ -96,19 +104,66 @@ def intrinsics(info: CameraInfo, width: int, height: int) -> Intrinsics:
         raise MessageError(
             f"{field}: expected fx, fy from {low:g} to {high:g} and cx, cy within +-{high:g} pixels, got {values}"
         )
-    if (info.width, info.height) != (width, height):
-        raise MessageError(
-            f"camera_info.width, height: the image has {width} x {height} pixels, camera_info says "
-            f"{info.width} x {info.height}; scale it with the image (image_proc ResizeNode), and use neither binning "
-            "nor a region of interest"
+    return Intrinsics(width, height, fx, fy, cx, cy, doubt or _distortion(info))
+
+
+DISTORTED = "camera_info.d: the distortion is not zero"
+
+
+def _distortion(info: CameraInfo) -> str:
+    if not any(value != 0.0 for value in info.d):
+        return ""
+    return (
+        f"{DISTORTED}; the depth image must be rectified (image_proc RectifyNode), otherwise masks are shifted towards "
+        "the corners"
+    )
+
+
+def _reduction(info: CameraInfo, width: int, height: int) -> tuple[tuple[int, int], tuple[int, int], str]:
+    """Offset [px] and binning that lead from the full resolution to the image, and what is doubtful about them.
+
+    Raises:
+        MessageError: the image has not the size that camera_info gives it.
+    """
+    full, roi = (int(info.width), int(info.height)), info.roi
+    offset = (int(roi.x_offset), int(roi.y_offset))
+    binning = (max(1, int(info.binning_x)), max(1, int(info.binning_y)))
+    window = (int(roi.width), int(roi.height))
+    if window == (0, 0) and offset == (0, 0):
+        window = full
+    reduced = (window[0] // binning[0], window[1] // binning[1])
+    inside = offset[0] + window[0] <= full[0] and offset[1] + window[1] <= full[1]
+    if (width, height) == reduced and inside:
+        return offset, binning, ""
+    if (width, height) == full:
+        if offset == (0, 0) and binning == (1, 1):
+            return offset, binning, ""  # whatever the window is, it moves nothing
+        # Drivers that crop or bin may give the size of what they send as the full one, and a K of either.
+        return (
+            offset,
+            binning,
+            (
+                f"camera_info.roi, binning: the image has the full {width} x {height} pixels though there is an offset "
+                f"of {offset} and a binning of {binning}; P and K are adjusted as image_geometry does, which is right "
+                "if point clouds of the camera are; if not, its driver should leave both 0"
+            ),
         )
-    warning = ""
-    if any(value != 0.0 for value in info.d):
-        warning = (
-            "camera_info.d: the distortion is not zero; the depth image must be rectified (image_proc RectifyNode), "
-            "otherwise masks are shifted towards the corners"
-        )
-    return Intrinsics(width, height, fx, fy, cx, cy, warning)
+    sizes = f"camera_info says {full[0]} x {full[1]}"
+    if reduced != full:
+        sizes += f", and {reduced[0]} x {reduced[1]} with its region of interest and binning"
+    raise MessageError(
+        f"camera_info.width, height: the image has {width} x {height} pixels, {sizes}; scale it with the image "
+        "(image_proc ResizeNode), or set region of interest and binning to what was done to the image"
+    )
+
+
+def info_content(info: CameraInfo) -> tuple[Any, ...]:
+    """All that a camera_info says but its stamp; equal for two of them if they agree bit for bit."""
+    numbers = tuple(np.asarray(getattr(info, name), np.float64).tobytes() for name in "dkrp")
+    roi = info.roi
+    window = (roi.x_offset, roi.y_offset, roi.width, roi.height, bool(roi.do_rectify))
+    size = (info.width, info.height, info.binning_x, info.binning_y)
+    return info.header.frame_id, info.distortion_model, *numbers, *size, *window
 
 
 def rigid(position: npt.ArrayLike, quaternion: npt.ArrayLike, field: str) -> FloatArray:

@@ -11,7 +11,7 @@ import pytest
 from geometry_msgs.msg import Point, Pose, PoseStamped
 from harness import image_msg, info_msg, plate
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import Mesh, MeshTriangle
 
 from shadow_tracer.ros.cdr import encode_mesh, parse_mesh
@@ -20,6 +20,7 @@ from shadow_tracer.ros.messages import (
     camera_pose,
     decode_depth,
     image_message,
+    info_content,
     intrinsics,
     mask_image,
     pose_matrix,
@@ -83,6 +84,13 @@ def test_bad_images_are_refused(change: dict[str, Any], message: str) -> None:
     assert message in str(caught.value)
 
 
+def test_intrinsics_come_from_p_even_without_a_k() -> None:
+    """Some drivers (depthai-ros) leave K all zero."""
+    info = info_msg(64, 48, 0)
+    info.k = [0.0] * 9
+    assert intrinsics(info, 64, 48) == intrinsics(info_msg(64, 48, 0), 64, 48)
+
+
 def test_intrinsics_come_from_p_or_else_from_k() -> None:
     info = info_msg(64, 48, 0)
     info.p[0], info.p[2] = 70.0, 30.0
@@ -100,10 +108,113 @@ def test_distortion_is_a_warning() -> None:
     assert "must be rectified" in intrinsics(info, 64, 48).warning
 
 
+def reduced_info(offset: tuple[int, int], window: tuple[int, int], binning: tuple[int, int]) -> CameraInfo:
+    """camera_info of 64 x 48 pixels with fx 60, fy 61, cx 31.5, cy 23.5, a region of interest and binning."""
+    info = info_msg(64, 48, 0)
+    info.p[5] = 61.0
+    info.roi.x_offset, info.roi.y_offset = offset
+    info.roi.width, info.roi.height = window
+    info.binning_x, info.binning_y = binning
+    return info
+
+
+@pytest.mark.parametrize("source", "pk")
+@pytest.mark.parametrize(
+    ("offset", "window", "binning", "size", "values"),
+    [
+        ((0, 0), (0, 0), (0, 0), (64, 48), (60.0, 61.0, 31.5, 23.5)),
+        ((0, 0), (64, 48), (1, 1), (64, 48), (60.0, 61.0, 31.5, 23.5)),
+        ((0, 0), (63, 47), (1, 1), (64, 48), (60.0, 61.0, 31.5, 23.5)),  # an Ensenso: the window moves nothing
+        ((0, 0), (0, 0), (2, 2), (32, 24), (30.0, 30.5, 15.75, 11.75)),
+        ((0, 0), (0, 0), (1, 3), (64, 16), (60.0, 61.0 / 3, 31.5, 23.5 / 3)),
+        ((8, 4), (32, 24), (0, 0), (32, 24), (60.0, 61.0, 23.5, 19.5)),
+        ((8, 4), (32, 24), (2, 4), (16, 6), (30.0, 15.25, 11.75, 4.875)),
+        ((0, 0), (33, 25), (2, 2), (16, 12), (30.0, 30.5, 15.75, 11.75)),  # a rest of the division is cut off
+    ],
+)
+def test_region_of_interest_and_binning(
+    offset: Any, window: Any, binning: Any, size: tuple[int, int], values: Any, source: str
+) -> None:
+    """As image_geometry: the offset first, then the division."""
+    info = reduced_info(offset, window, binning)
+    if source == "k":
+        info.k[4] = 61.0
+        info.p = [0.0] * 12
+    optics = intrinsics(info, *size)
+    assert (optics.width, optics.height) == size and optics.warning == ""
+    assert (optics.fx, optics.fy, optics.cx, optics.cy) == values
+
+
+@pytest.mark.parametrize(
+    ("offset", "window", "binning", "values"),
+    [
+        ((0, 0), (0, 0), (2, 2), (30.0, 30.5, 15.75, 11.75)),
+        ((8, 4), (32, 24), (0, 0), (60.0, 61.0, 23.5, 19.5)),
+        ((8, 4), (64, 48), (0, 0), (60.0, 61.0, 23.5, 19.5)),  # the size of the image given as the full one
+        ((8, 4), (0, 0), (1, 1), (60.0, 61.0, 23.5, 19.5)),
+    ],
+)
+def test_where_drivers_disagree_a_warning_says_so(offset: Any, window: Any, binning: Any, values: Any) -> None:
+    info = reduced_info(offset, window, binning)
+    info.d = [0.1]
+    optics = intrinsics(info, 64, 48)
+    assert (optics.fx, optics.fy, optics.cx, optics.cy) == values
+    assert optics.warning.startswith("camera_info.roi, binning: the image has the full 64 x 48 pixels though")
+
+
+@pytest.mark.parametrize(
+    ("offset", "window", "binning", "size"),
+    [
+        ((0, 0), (0, 0), (2, 2), (64, 24)),
+        ((8, 4), (32, 24), (2, 2), (32, 24)),  # binning was not done
+        ((8, 4), (32, 24), (2, 2), (32, 12)),
+        ((0, 0), (32, 24), (2, 2), (32, 24)),
+        ((60, 4), (32, 24), (1, 1), (32, 24)),  # beyond the sensor
+        ((8, 4), (0, 24), (1, 1), (64, 24)),
+        ((0, 0), (0, 0), (100, 100), (1, 1)),
+    ],
+)
+def test_sizes_that_do_not_fit_are_refused(offset: Any, window: Any, binning: Any, size: tuple[int, int]) -> None:
+    with pytest.raises(MessageError, match=r"^camera_info\.width, height: the image has .* camera_info says 64 x 48"):
+        intrinsics(reduced_info(offset, window, binning), *size)
+
+
+def test_an_offset_far_away_is_refused() -> None:
+    with pytest.raises(MessageError, match=r"^camera_info\.p: expected fx, fy"):
+        intrinsics(reduced_info((2**32 - 1, 0), (64, 48), (1, 1)), 64, 48)
+
+
+def test_content_of_camera_info_is_all_but_its_stamp() -> None:
+    first = info_msg(64, 48, 1)
+    assert info_content(first) == info_content(info_msg(64, 48, 2))
+    first.d[0] = first.p[3] = float("nan")
+    again = info_msg(64, 48, 2)
+    again.d[0] = again.p[3] = float("nan")
+    assert info_content(first) == info_content(again)
+    for name, value in {
+        "width": 65, "height": 47, "distortion_model": "x", "d": [0.0], "k": [1.0] * 9, "r": [1.0] * 9,
+        "p": [1.0] * 12, "binning_x": 1, "binning_y": 1,
+    }.items():  # fmt: skip
+        other = info_msg(64, 48, 1)
+        setattr(other, name, value)
+        assert info_content(other) != info_content(info_msg(64, 48, 1)), name
+    for name in ("x_offset", "y_offset", "width", "height", "do_rectify"):
+        other = info_msg(64, 48, 1)
+        setattr(other.roi, name, True if name == "do_rectify" else 1)
+        assert info_content(other) != info_content(info_msg(64, 48, 1)), name
+    assert info_content(info_msg(64, 48, 1, frame="b")) != info_content(info_msg(64, 48, 1, frame="c"))
+
+
+def test_without_p_and_k_the_camera_is_uncalibrated() -> None:
+    info = info_msg(64, 48, 0)
+    info.k[0] = info.p[0] = 0.0
+    with pytest.raises(MessageError, match=r"^camera_info\.p, k: P\[0\] and K\[0\] are 0, the camera is uncalibrated"):
+        intrinsics(info, 64, 48)
+
+
 @pytest.mark.parametrize(
     ("field", "values", "message"),
     [
-        ("k", {0: 0.0}, "uncalibrated"),
         ("p", {0: float("nan")}, "camera_info.p: expected fx, fy from 0.001"),
         ("p", {5: 0.0}, "camera_info.p: expected fx, fy from 0.001"),
         ("p", {0: -60.0}, "camera_info.p"),

@@ -219,17 +219,19 @@ def test_camera_info_may_come_after_the_image(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "message"),
+    ("changes", "message"),
     [
-        ("k", [0.0] * 9, "uncalibrated"),
-        ("p", [math.nan] * 12, "camera_info.p"),
-        ("width", 32, "camera_info says 32 x 48"),
+        ({"k": [0.0] * 9, "p": [0.0] * 12}, "uncalibrated"),
+        ({"p": [math.nan] * 12}, "camera_info.p"),
+        ({"width": 32}, "camera_info says 32 x 48"),
+        ({"binning_x": 3, "width": WIDTH * 2}, "42 x 48 with its region of interest and binning"),
     ],
 )
-def test_bad_camera_info_makes_the_mask_unknown(rig: Rig, field: str, value: Any, message: str) -> None:
+def test_bad_camera_info_makes_the_mask_unknown(rig: Rig, changes: dict[str, Any], message: str) -> None:
     stamp = rig.next_stamp()
     info = info_msg(WIDTH, HEIGHT, stamp)
-    setattr(info, field, value)
+    for field, value in changes.items():
+        setattr(info, field, value)
     rig.info.publish(info)
     rig.depth.publish(image_msg(wall(), stamp))
     assert all_unknown(rig.mask_of(stamp))
@@ -252,6 +254,17 @@ def test_distortion_is_traced_with_a_warning_unless_the_name_says_rectified(
         rig.wait_status(DEPTH, OK)
     else:
         rig.wait_status(DEPTH, WARN, "must be rectified")
+
+
+def test_a_doubtful_region_of_interest_is_a_warning_whatever_the_name(rig: Rig) -> None:
+    """The size of camera_info is that of the image, and yet there is an offset: traced as image_geometry has it."""
+    stamp = rig.next_stamp()
+    info = info_msg(WIDTH, HEIGHT, stamp)
+    info.roi.x_offset, info.d = 5, [0.1]
+    rig.info.publish(info)
+    rig.depth.publish(image_msg(wall(), stamp))
+    assert (rig.mask_of(stamp).ravel()[1:] == 255).all()
+    rig.wait_status(DEPTH, WARN, "camera_info.roi, binning: the image has the full 64 x 48 pixels though")
 
 
 def test_bad_images_are_refused_and_explained(rig: Rig) -> None:
