@@ -417,7 +417,8 @@ _TOPIC_POSE = {"pose_source": "topic", "fixed_frame": "world"}
 
 INPUTS = (
     Input("depth image", "depth/image_rect", _depth_good, _depth_make, parameters={"camera_info_policy": "latest"}),
-    Input("camera_info", "depth/camera_info", _info_good, _info_make, with_image=True),
+    Input("camera_info", "depth/camera_info", _info_good, _info_make, with_image=True,
+          parameters={"camera_info_policy": "exact"}),
     Input("mesh", "mesh", _mesh_good, _mesh_make),
     Input("mesh_marker", "mesh_marker", _marker_good, _marker_make),
     Input("mesh_markers", "mesh_markers", _markers_good, _markers_make),

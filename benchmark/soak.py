@@ -162,7 +162,7 @@ class Soak:
             "mask.publish": rng.choice(("listened", "always")),
             "process": rng.choice(("latest", "every")),
             "mesh.max_age": rng.choice((0.0, 60.0)),
-            "camera_info_policy": rng.choice(("exact", "latest")),
+            "camera_info_policy": rng.choice(("auto", "exact", "latest")),
         }
         chosen = {name: choices[name] for name in rng.sample(sorted(choices), rng.randrange(1, 4))}
         if "lights" in chosen:

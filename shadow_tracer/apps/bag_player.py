@@ -115,6 +115,8 @@ class Player:
         self._queries = Queries(self._frames, self.meshes.store, self._lighting)
         self._camera_frame = ""
         self._last_stamp = 0
+        self._info_stamps = sorted(background.infos)
+        self._next_info = 0
         self._mine = {names.topic(f"~/{name}") for name in ("mask", "light_bits", "camera_info", "timing", "overlay")}
         self._mine |= {names.topic("~/query/visibility")}
         self._mine |= {names.topic(f"~/mask/{light.name}") for light in settings.lights}
@@ -168,15 +170,27 @@ class Player:
         decoding = (time.perf_counter() - start) * 1e3
         if stamp < self._last_stamp - _BACKWARD_STAMPS:
             self.result.passes += 1
+            self._next_info = 0
+            if self._settings.camera_info_policy != "latest":
+                self._queue.clear()
         self._last_stamp, self._camera_frame = stamp, image.header.frame_id
-        if self._settings.camera_info_policy == "exact" and stamp in self._background.infos:
-            self._queue.put_info(self._background.infos[stamp])
+        if self._settings.camera_info_policy != "latest":
+            self._offer_infos(stamp)
         self._queue.put(WaitingFrame(image, depth, stamp, _NOW, decoding))
         answer = self._processor.step(self._settings, self._tracer, _NOW, now_ns, patient=False)
         if answer is None:
             raise RuntimeError("a frame waits though nothing can come")
         self._note(answer)
         self._publish(answer, now_ns, start)
+
+    def _offer_infos(self, stamp: int) -> None:
+        """Give the queue every camera_info up to the stamp of an image [ns], and the one after it."""
+        while self._next_info < len(self._info_stamps):
+            offered = self._info_stamps[self._next_info]
+            self._queue.put_info(self._background.infos[offered])
+            self._next_info += 1
+            if offered > stamp:
+                break
 
     def _query(self, cloud: Any, now_ns: int) -> None:
         self._queries.put(cloud, self._settings.max_rays, _NOW)

@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images that wait for what belongs to them, a bounded number of them; and camera_info by stamp. No ROS here."""
+"""Depth images that wait for what belongs to them, a bounded number of them. No ROS here."""
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
-from shadow_tracer.ros.diagnostics import DEPTH, Missing
+from shadow_tracer.ros.camera_infos import CameraInfos
 from shadow_tracer.ros.mesh_store import Part
-from shadow_tracer.ros.messages import stamp_ns
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import CameraInfo, Image
@@ -58,7 +57,7 @@ class FrameQueue:
         self.every = False
         self.dropped = 0
         self._frames: deque[WaitingFrame] = deque()
-        self._infos: OrderedDict[int, CameraInfo] = OrderedDict()
+        self._infos = CameraInfos()
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -78,6 +77,7 @@ class FrameQueue:
             self._frames.popleft()
             self.dropped += 1
         self._frames.append(frame)
+        self._infos.note_image(frame.stamp)
 
     def take(self, frame: WaitingFrame) -> None:
         """Remove a frame, and drop those that arrived before it."""
@@ -100,31 +100,8 @@ class FrameQueue:
 
     def put_info(self, info: CameraInfo) -> None:
         """Remember a camera_info, the last of each stamp."""
-        stamp = stamp_ns(info.header.stamp)
-        self._infos.pop(stamp, None)
-        self._infos[stamp] = info
-        while len(self._infos) > 4 * self.capacity:
-            self._infos.popitem(last=False)
+        self._infos.put(info, 4 * self.capacity)
 
-    def info_for(self, frame: WaitingFrame, policy: str) -> CameraInfo:
-        """The camera_info of a frame by the policy ``exact`` or ``latest``.
-
-        Raises:
-            Missing: none has arrived, or none with its stamp.
-        """
-        if not self._infos:
-            raise Missing(
-                DEPTH, "no camera_info has arrived; start its publisher, or remap depth/camera_info to its topic"
-            )
-        last = next(reversed(self._infos.values()))
-        if policy == "latest":
-            return last
-        info = self._infos.get(frame.stamp)
-        if info is None:
-            distance = (stamp_ns(last.header.stamp) - frame.stamp) * 1e-6
-            raise Missing(
-                DEPTH,
-                f"no camera_info has the stamp of the image (the last one differs by {distance:+.3f} ms); "
-                "set camera_info_policy to latest if the camera does not move its lens",
-            )
-        return info
+    def info_for(self, frame: WaitingFrame, policy: str, last_chance: bool = True) -> CameraInfo:
+        """The camera_info of a frame; see :meth:`CameraInfos.find`. Raises Missing."""
+        return self._infos.find(frame.stamp, policy, last_chance)

@@ -69,9 +69,9 @@ def _loss_hint(inputs: Inputs) -> str:
     if inputs.depth_bytes < LARGE or not inputs.subscriptions["depth"].best_effort:
         return f"the network or the machine is too busy; see `ros2 topic hz {topic}`"
     return (
-        f"stock Fast DDS loses best effort messages of {inputs.depth_bytes / 1e6:.1f} MB: if the camera offers "
-        f"reliable, start this node with -p qos_overrides.{topic}.subscription.reliability:=reliable, else start "
-        "the camera driver with FASTRTPS_DEFAULT_PROFILES_FILE=<share/shadow_tracer>/config/fastdds_large_images.xml"
+        f"stock Fast DDS loses best effort messages of {inputs.depth_bytes / 1e6:.1f} MB: let all publishers of "
+        f"{topic} offer reliable, or start the camera driver with "
+        "FASTRTPS_DEFAULT_PROFILES_FILE=<share/shadow_tracer>/config/fastdds_large_images.xml"
     )
 
 

@@ -87,9 +87,10 @@ class Inputs:
         for name, kind in _MESH_KINDS.items():
             profile = qos.newest_reliable() if name == "mesh" else qos.burst()
             self._add(name, kind, name, partial(self._on_mesh, name), profile, durability=True)
-        self._add("depth", Image, "depth/image_rect", self._read_depth, qos.newest_of_sensor())
+        self._add("depth", Image, "depth/image_rect", self._read_depth, qos.newest_reliable(), reliability=True)
         read = self._reader(CameraInfo, self.depth_refused, "camera_info", self._on_info)
-        self._add("info", CameraInfo, "depth/camera_info", read, qos.newest_of_sensor())
+        follow = {"reliability": True, "durability": True}
+        self._add("info", CameraInfo, "depth/camera_info", read, qos.newest_reliable(), **follow)
         read = self._reader(PoseStamped, self.pose_refused, "camera_pose", self._on_camera_pose)
         self._add("pose", PoseStamped, "camera_pose", read, qos.history_of_sensor())
         read = self._reader(PointCloud2, self._queries.refused, "query", self._on_query)
@@ -106,11 +107,9 @@ class Inputs:
         self.queue.every = settings.process == "every"
         if not self.subscriptions:
             return
-        every = self.queue.every
-        self.subscriptions["mesh"].ask(qos.every_of_sensor() if every else qos.newest_reliable(), reliability=False)
-        for name in ("depth", "info"):
-            profile = qos.every_of_sensor() if every else qos.newest_of_sensor()
-            self.subscriptions[name].ask(profile, reliability=every)
+        profile = qos.every_reliable() if self.queue.every else qos.newest_reliable()
+        for name in ("mesh", "depth", "info"):
+            self.subscriptions[name].ask(profile.depth)
         movable = {f"light {light.name}": light.name for light in settings.lights if light.type != "sun"}
         for key in [key for key in self.subscriptions if key.startswith("light ") and key not in movable]:
             self.subscriptions.pop(key).close()

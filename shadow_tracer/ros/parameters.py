@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from shadow_tracer import available_pipelines
+from shadow_tracer.ros.camera_infos import POLICIES
 from shadow_tracer.ros.parameter_rows import (
     BOOL,
     DOUBLE,
@@ -103,9 +104,10 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("depth_occluder.max_jump", DOUBLE, 0.05,
               "Where depths of neighbouring corners differ by more than this share of the smaller one, the surface is "
               "cut.", low=0.001, high=1.0),
-    Parameter("camera_info_policy", STRING, "exact",
-              "exact pairs depth and camera_info of the same stamp, latest takes the newest camera_info.",
-              allowed=("exact", "latest")),
+    Parameter("camera_info_policy", STRING, "auto",
+              "exact pairs depth and camera_info of the same stamp, latest takes the newest camera_info; auto is exact "
+              "where that stamp comes, else the newest if those around the stamp are equal bit for bit.",
+              allowed=POLICIES),
     Parameter("lights", STRINGS, ("lamp",),
               "Names of the lights, each with its own group lights.<name>; [''] is none.",
               pattern=_LIGHT_NAME, pattern_text="letters, digits and single underscores, a letter first"),

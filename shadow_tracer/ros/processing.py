@@ -109,7 +109,7 @@ class Processor:
 
     def _prepare(self, settings: Settings, frame: WaitingFrame, now_ns: int, last_chance: bool) -> _Job:
         check_meshes(self._meshes, settings, now_ns)
-        info = self._queue.info_for(frame, settings.camera_info_policy)
+        info = self._queue.info_for(frame, settings.camera_info_policy, last_chance)
         height, width = frame.depth.shape
         try:
             optics = intrinsics(info, width, height)

@@ -16,18 +16,13 @@ def _profile(reliability: ReliabilityPolicy, depth: int) -> QoSProfile:
     )
 
 
-def newest_of_sensor() -> QoSProfile:
-    """Depth images and camera_info: best effort, so that every camera matches; only the newest."""
-    return _profile(ReliabilityPolicy.BEST_EFFORT, 1)
-
-
 def newest_reliable() -> QoSProfile:
-    """Masks and the mesh: none may be lost for want of a fragment; only the newest matters."""
+    """Depth images, camera_info, masks, the mesh: none may be lost for want of a fragment; only the newest matters."""
     return _profile(ReliabilityPolicy.RELIABLE, 1)
 
 
-def every_of_sensor() -> QoSProfile:
-    """Depth images and camera_info when each one is to be answered: as many as may wait in the node, too."""
+def every_reliable() -> QoSProfile:
+    """Depth images, camera_info, the mesh when each image is to be answered: as many as may wait in the node, too."""
     return _profile(ReliabilityPolicy.RELIABLE, 64)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -14,14 +15,14 @@ from shadow_tracer.ros import qos
 
 
 class FollowingSubscription:
-    """A subscription to bytes with overridable QoS, made anew when its publishers call for another profile.
+    """A subscription to bytes with overridable QoS, rebuilt when its publishers call for another profile.
 
     Args:
         node: the node.
         kind: message class.
         topic: name before remapping.
         callback: of the messages; guarded by the caller.
-        profile: what is asked for as long as nobody publishes.
+        profile: what is asked for until somebody publishes.
         durability: take the durability that all publishers offer.
         reliability: take the reliability that all publishers offer.
 
@@ -44,7 +45,7 @@ class FollowingSubscription:
         self._follow_durability = durability and "durability" not in self._given
         self._follow_reliability = reliability and "reliability" not in self._given
         self._subscription: Subscription = node.create_subscription(
-            kind, topic, callback, profile, raw=True,
+            kind, topic, callback, profile, raw=True, event_callbacks=self._events(),
             qos_overriding_options=qos.overridable(durability=not self._follow_durability),
         )  # fmt: skip
 
@@ -79,21 +80,12 @@ class FollowingSubscription:
             self._make(wanted)
         self.mismatch = qos.mismatch(publishers, self.topic, _type_name(self._kind), self.profile.reliability)
 
-    def ask(self, profile: QoSProfile, reliability: bool) -> None:
-        """Ask for another depth and reliability, as far as no override says otherwise.
-
-        Args:
-            profile: what is asked for.
-            reliability: take the reliability that all publishers offer.
-        """
+    def ask(self, depth: int) -> None:
+        """Ask for another depth of the queue, if no override says otherwise."""
         now = self.profile
-        wanted = qos.changed(now, now.durability, now.reliability)
-        if "depth" not in self._given:
-            wanted.depth = profile.depth
-        if "reliability" not in self._given:
-            wanted.reliability = profile.reliability
-            self._follow_reliability = reliability
-        if (wanted.depth, wanted.reliability) != (now.depth, now.reliability):
+        if "depth" not in self._given and depth != now.depth:
+            wanted = qos.changed(now, now.durability, now.reliability)
+            wanted.depth = depth
             self._make(wanted)
 
     def close(self) -> None:
@@ -103,7 +95,13 @@ class FollowingSubscription:
     def _make(self, profile: QoSProfile) -> None:
         # Without overriding options: they would put back what was asked for at the start.
         self._node.destroy_subscription(self._subscription)
-        self._subscription = self._node.create_subscription(self._kind, self._topic, self._callback, profile, raw=True)
+        self._subscription = self._node.create_subscription(
+            self._kind, self._topic, self._callback, profile, raw=True, event_callbacks=self._events()
+        )
+
+    def _events(self) -> SubscriptionEventCallbacks:
+        """Without the warning of rclpy that a publisher cannot be heard where that is put right a moment later."""
+        return SubscriptionEventCallbacks(use_default_callbacks=not self._follow_reliability)
 
 
 def _type_name(kind: Any) -> str:

@@ -259,6 +259,23 @@ def test_poses_from_a_topic_and_the_latest_camera_info(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(edges), -0.25 * FOCAL / 2, atol=1.0)
 
 
+def test_one_camera_info_for_all_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Latched, it stands in the bag once, with a stamp of its own, and the images may start again after the last."""
+    made = BagMaker()
+    made.add(INFO, info(W, H, 5, FOCAL))
+    made.raw("/mesh", MESH, encode_mesh(*plate()))
+    for k in (1, 2, 3, 1, 2):
+        made.add(DEPTH, image(np.full((H, W), 2.0, np.float32), 10 * k * SECOND))
+    folder = made.write(tmp_path / "in")
+    for policy, known in (("auto", True), ("latest", True), ("exact", False)):
+        found = run(folder, tmp_path / f"{policy}.mcap", *parameters(camera_info_policy=policy))
+        masks = [pixels(message) for message in found["/shadow_tracer/mask"]]
+        assert len(masks) == 5 and all(bool((mask == 255).any()) == known for mask in masks), policy
+        err = capsys.readouterr().err
+        assert ("no camera_info has the stamp of the image (the last one differs by -" in err) == (not known)
+        assert "no camera_info has arrived" not in err
+
+
 def test_what_is_missing_is_unknown_and_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = still_life()
     made.add(DEPTH, image(depth_image(1), 3 * SECOND))
@@ -267,7 +284,7 @@ def test_what_is_missing_is_unknown_and_explained(tmp_path: Path, capsys: pytest
     made.raw("/mesh", MESH, b"\x00\x01")
     made.raw(DEPTH, "sensor_msgs/msg/Image", b"\x00\x01\x00\x00\xff")
     made.add(DEPTH, image(depth_image(1), 0))
-    options = parameters(fixed_frame="map", mask__unknown_value=UNKNOWN, bias__constnt=1.0)
+    options = parameters(fixed_frame="map", mask__unknown_value=UNKNOWN, camera_info_policy="exact", bias__constnt=1.0)
     found = run(made.write(tmp_path / "in"), tmp_path / "out.mcap", *options)["/shadow_tracer/mask"]
     assert [bool((pixels(message) == UNKNOWN).all()) for message in found] == [False, True, True]
     out, err = capsys.readouterr()

@@ -15,9 +15,11 @@ import pytest
 
 HERE = Path(__file__).parent
 WITHOUT_ROS = {
+    "test_camera_infos.py",
     "test_cdr.py",
     "test_cdr_markers.py",
     "test_clouds.py",
+    "test_compressed_depth.py",
     "test_frame_queue.py",
     "test_health_inputs.py",
     "test_launch.py",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that wait, camera_info by stamp, and the small meters of diagnostics. No ROS is needed here."""
+"""Frames that wait, and the small meters of diagnostics. No ROS is needed here."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadow_tracer.ros.diagnostics import Complaint, Missing, RateMeter, Window
+from shadow_tracer.ros.diagnostics import Complaint, RateMeter, Window
 from shadow_tracer.ros.frame_queue import FrameQueue, WaitingFrame
 
 
@@ -50,22 +50,6 @@ def test_every_frame_in_order() -> None:
         taken.append(item)
         queue.take(item)
     assert taken == frames and queue.dropped == 0
-
-
-def test_camera_info_by_stamp_or_the_latest() -> None:
-    queue = FrameQueue()
-    with pytest.raises(Missing, match="no camera_info has arrived"):
-        queue.info_for(frame(1), "latest")
-    stamps = range(1, 4 * queue.CAPACITY + 2)
-    for stamp in stamps:
-        queue.put_info(message(stamp))
-    assert queue.info_for(frame(3), "exact").header.stamp.nanosec == 3
-    assert queue.info_for(frame(3), "latest").header.stamp.nanosec == stamps[-1]
-    with pytest.raises(Missing, match="camera_info_policy to latest"):
-        queue.info_for(frame(1), "exact")
-    queue.clear()
-    with pytest.raises(Missing, match="no camera_info has arrived"):
-        queue.info_for(frame(3), "exact")
 
 
 def test_meters() -> None:

@@ -12,6 +12,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from harness import FOCAL, HEIGHT, WIDTH, Rig, image_msg, info_msg, nanoseconds, plate, wall
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo
 from shape_msgs.msg import Mesh
 
 from shadow_tracer import Bias, Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SpotLight
@@ -202,12 +203,24 @@ def test_without_camera_info_the_mask_says_unknown(rig: Rig) -> None:
     rig.wait_status(DEPTH, WARN, "no camera_info has arrived")
     timing = rig.until(lambda: rig.timings and rig.timings[-1]).status[0]
     assert timing.level == WARN and timing.message.startswith("unknown: no camera_info")
+    assert rig.set(camera_info_policy="exact") == ""
     rig.trace(wall())
     assert all_unknown(rig.trace(wall(), info=False))
-    rig.wait_status(DEPTH, WARN, "set camera_info_policy to latest")
-    assert rig.set(camera_info_policy="latest") == ""
+    rig.wait_status(DEPTH, WARN, "set camera_info_policy to auto, or to latest")
+    assert rig.set(camera_info_policy="auto") == ""
     assert shadow_size(rig.trace(wall(), info=False))
     rig.wait_status(DEPTH, OK)
+
+
+def test_one_latched_camera_info_from_before_the_node_will_do() -> None:
+    with Rig(start=False) as rig:
+        profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        rig.friend.destroy_publisher(rig.info)
+        rig.info = rig.friend.create_publisher(CameraInfo, "depth/camera_info", profile)
+        rig.info.publish(info_msg(WIDTH, HEIGHT, 5))
+        rig.start({"mask.unknown_value": UNKNOWN})
+        rig.send_mesh(*plate())
+        rig.until(lambda: shadow_size(rig.trace(wall(), info=False)) > 100, what="the latched camera_info counts")
 
 
 def test_camera_info_may_come_after_the_image(rig: Rig) -> None:

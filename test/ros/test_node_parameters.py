@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from harness import FOCAL, SMALL, Rig, plate, wall
+from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, plate, wall
 from rclpy.parameter import Parameter
 from shape_msgs.msg import Mesh
 from test_parameters import BAD
@@ -320,7 +320,7 @@ def test_diagnostics_period(rig: Rig) -> None:
 
 
 def test_tf_timeout(rig: Rig) -> None:
-    assert rig.set(tf_timeout=10.0, mask__unknown_value=7) == ""
+    assert rig.set(tf_timeout=10.0, camera_info_policy="exact", mask__unknown_value=7) == ""
     stamp = rig.send_frame(wall(), info=False)
     rig.until(lambda: rig.value(PROCESSING, "waiting") == "1")
     count = len(rig.masks[""])
@@ -332,9 +332,13 @@ def test_tf_timeout(rig: Rig) -> None:
 
 def test_camera_info_policy(rig: Rig) -> None:
     good = rig.trace(wall())
-    assert not rig.trace(wall(), info=False).any()
-    assert rig.set(camera_info_policy="latest") == ""
-    np.testing.assert_array_equal(rig.trace(wall(), info=False), good)
+    for policy in ("exact", "latest", "auto"):
+        assert rig.set(camera_info_policy=policy) == ""
+        found = rig.trace(wall(), info=False)
+        np.testing.assert_array_equal(found, np.zeros_like(good) if policy == "exact" else good)
+    for focal in (70.0, 80.0):  # a lens that moves
+        rig.info.publish(info_msg(WIDTH, HEIGHT, rig.stamp + 1, focal))
+    rig.until(lambda: not rig.trace(wall(), info=False).any(), what="the two that differ have arrived")
 
 
 def test_mask_publish(rig: Rig) -> None:

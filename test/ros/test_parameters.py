@@ -60,7 +60,7 @@ BAD = [
     ("depth_occluder.step", 0, "depth_occluder.step: expected integer (1 to 16 px), got 0"),
     ("depth_occluder.step", 1.5, "depth_occluder.step: expected integer"),
     ("depth_occluder.max_jump", 1.01, "depth_occluder.max_jump: expected double ("),
-    ("camera_info_policy", "nearest", "camera_info_policy: expected string (exact, latest)"),
+    ("camera_info_policy", "nearest", "camera_info_policy: expected string (auto, exact, latest)"),
     ("lights", "lamp", "lights: expected string array"),
     ("lights", ["lamp", "lamp"], "lights: expected different names"),
     ("lights", ["my lamp"], "lights: expected names of letters, digits"),
