@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from compressed_images import compressed_msg
 from geometry_msgs.msg import PoseStamped
 from harness import image_msg, info_msg, plate, time_msg, wall
 from rclpy.serialization import serialize_message
@@ -39,6 +40,7 @@ TEXTS = (
     "bgr8",
     "16uc1",
 )
+FLOATS = (float("nan"), float("inf"), -float("inf"), 0.0, 1e-45, 3e38, -1.0, 10100.0)
 SMALL_WIDTH, SMALL_HEIGHT = 16, 12
 SENDER = "camera"  # frame of everything that is good
 
@@ -73,6 +75,7 @@ class Input:
         with_image: a depth image of the same stamp follows each message, and a refusal shows when that is traced.
         with_frame: good messages go along with every good frame.
         parameters: what the node needs for this input to count.
+        codec: good frames are packed so.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Input:
     with_image: bool = False
     with_frame: bool = False
     parameters: dict[str, Any] = field(default_factory=dict)
+    codec: str = ""
 
 
 def any_bytes(rng: random.Random, most: int = 400) -> bytes:
@@ -182,6 +186,64 @@ def _depth_make(rng: random.Random, number: int) -> Message:
     image.width = image.height = side
     image.step, image.data = side * size, _bytes_of(bytes(side * side * size))
     return Message(image)
+
+
+# Packed depth images
+
+
+_FORMATS = (
+    "",
+    ";",
+    "png",
+    "16UC1;",
+    "16UC1; compressedDepth zstd",
+    "16UC1; png",
+    "rgb8; compressedDepth png",
+    "a" * 3000,
+)
+
+
+def _packed_good(stamp: int) -> Sequence[Any]:
+    return (compressed_msg(wall(), stamp, SENDER, "rvl"),)
+
+
+def _packed_make(rng: random.Random, number: int) -> Message:
+    codec = rng.choice(("png", "rvl"))
+    steps = np.random.default_rng(number % 64).integers(0, 4000, (SMALL_HEIGHT, SMALL_WIDTH))
+    depth = steps.astype(np.uint16) if rng.random() < 0.5 else (steps * 1e-3).astype(np.float32)
+    packed = compressed_msg(depth, _stamp(number), SENDER, codec)
+    data, head = bytearray(packed.data), 12
+    kind = number % 10
+    if kind < 2:
+        return _mangled(rng, number, packed)
+    if kind == 2:
+        packed.format = rng.choice(_FORMATS)
+        return Message(packed, True)
+    if kind == 3:  # every length; after the last pixel a PNG has checksums and an end mark
+        del data[number // 10 % (len(data) - (20 if codec == "png" else 0)) :]
+        bad = True
+    elif kind == 4:  # columns and rows
+        width, height = rng.choice(COUNTS[6:]), rng.choice(COUNTS)
+        struct.pack_into(">II" if codec == "png" else "<II", data, head + (16 if codec == "png" else 0), width, height)
+        bad = True
+    elif kind == 5:
+        for _ in range(rng.randrange(1, 4)):
+            data[rng.randrange(head, len(data))] = rng.randrange(256)
+        bad = False
+    elif kind == 6:
+        struct.pack_into("<iff", data, 0, rng.choice((-1, 0, 7)), *(rng.choice(FLOATS) for _ in range(2)))
+        bad = False
+    elif kind == 7:
+        data[head + 8 :] = rng.randbytes(rng.randrange(4000))
+        bad = codec == "png"
+    elif kind == 8:
+        data += bytes(rng.choice((1, 4, 1000, 1_000_000)))
+        bad = False
+    else:
+        _header(rng, packed)
+        return Message(packed)
+    packed.data = _bytes_of(bytes(data))
+    return Message(packed, bad)
 
 
 # camera_info
@@ -417,6 +479,8 @@ _TOPIC_POSE = {"pose_source": "topic", "fixed_frame": "world"}
 
 INPUTS = (
     Input("depth image", "depth/image_rect", _depth_good, _depth_make, parameters={"camera_info_policy": "latest"}),
+    Input("compressedDepth", "depth/image_rect/compressedDepth", _packed_good, _packed_make, codec="png",
+          parameters={"camera_info_policy": "latest", "depth_image_transport": "compressedDepth"}),
     Input("camera_info", "depth/camera_info", _info_good, _info_make, with_image=True,
           parameters={"camera_info_policy": "exact"}),
     Input("mesh", "mesh", _mesh_good, _mesh_make),

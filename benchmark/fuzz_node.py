@@ -203,7 +203,7 @@ class Session:
 
     def mask(self) -> np.ndarray:
         """The mask of a good frame, over real topics."""
-        if self.tried.topic == "depth/image_rect":
+        if self.tried.topic.startswith("depth/image_rect"):
             self.rig.trace(wall())  # strange stamps are behind us with this one: a jump in time forgets camera_info
         stamp = self.rig.next_stamp()
         if self.tried.with_frame:
@@ -312,7 +312,7 @@ def fuzz(tried: Input, messages: int, seed: int = 1, every: int = 500, judge_mem
     ears = Ears()
     begin = time.perf_counter()
     with (
-        Rig({**SMALL, "mask.unknown_value": 77, **tried.parameters}) as rig,
+        Rig({**SMALL, "mask.unknown_value": 77, **tried.parameters}, codec=tried.codec) as rig,
         ears.listening(),
         warnings.catch_warnings(record=True) as warned,
     ):

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
+from compressed_images import compressed_msg
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from node_process import SMALL
@@ -24,7 +25,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from shape_msgs.msg import Mesh
 
 from shadow_tracer.ros.cdr import encode_mesh
@@ -93,6 +94,7 @@ class Rig:
         arguments: further ROS arguments of the node, such as remappings.
         latched: publish meshes transient local.
         namespace: namespace of the friend, for a node in another process that has one.
+        codec: png or rvl: depth images are sent packed, as compressedDepth.
     """
 
     def __init__(
@@ -102,6 +104,7 @@ class Rig:
         arguments: Sequence[str] = (),
         latched: bool = False,
         namespace: str = "",
+        codec: str = "",
         start: bool = True,
     ) -> None:
         self.context = Context()
@@ -112,7 +115,9 @@ class Rig:
         self.node: ShadowNode | None = None
         self.stamp = 1_000_000_000_000
         mesh_qos = reliable(1, DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
-        self.depth = self.friend.create_publisher(Image, "depth/image_rect", reliable())
+        self._codec = codec
+        kind, topic = (CompressedImage, "/compressedDepth") if codec else (Image, "")
+        self.depth = self.friend.create_publisher(kind, f"depth/image_rect{topic}", reliable())
         self.info = self.friend.create_publisher(CameraInfo, "depth/camera_info", reliable())
         self.mesh = self.friend.create_publisher(Mesh, "mesh", mesh_qos)
         self.pose = self.friend.create_publisher(PoseStamped, "camera_pose", reliable())
@@ -269,7 +274,8 @@ class Rig:
         stamp = self.next_stamp() if stamp is None else stamp
         if info:
             self.info.publish(info_msg(depth.shape[1], depth.shape[0], stamp, frame=frame))
-        self.depth.publish(image_msg(depth, stamp, frame))
+        packed = self._codec and compressed_msg(depth, stamp, frame, self._codec)
+        self.depth.publish(packed or image_msg(depth, stamp, frame))
         return stamp
 
     def mask_of(self, stamp: int, light: str = "", timeout: float = TIMEOUT) -> np.ndarray:

@@ -166,14 +166,15 @@ class Player:
 
     def _depth(self, image: Any, now_ns: int) -> None:
         start = time.perf_counter()
-        depth, stamp = decode_depth(image), stamp_ns(image.header.stamp)
+        depth, stamp = decode_depth(image, self._settings.depth_unit), stamp_ns(image.header.stamp)
         decoding = (time.perf_counter() - start) * 1e3
         if stamp < self._last_stamp - _BACKWARD_STAMPS:
             self.result.passes += 1
             self._next_info = 0
             if self._settings.camera_info_policy != "latest":
                 self._queue.clear()
-        self._last_stamp, self._camera_frame = stamp, image.header.frame_id
+        self._last_stamp = stamp
+        self._camera_frame = self._settings.camera_frame or image.header.frame_id
         if self._settings.camera_info_policy != "latest":
             self._offer_infos(stamp)
         self._queue.put(WaitingFrame(image, depth, stamp, _NOW, decoding))

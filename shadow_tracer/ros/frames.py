@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from shadow_tracer.ros.diagnostics import ERROR, TRANSFORMS, Missing
-from shadow_tracer.ros.messages import MessageError, rigid
+from shadow_tracer.ros.messages import MessageError, frame_name, rigid
 from shadow_tracer.ros.settings import FloatArray, Settings
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ class Poses:
         lookup: Callable[[str, str, int | None], FloatArray],
     ) -> None:
         self.world = world
-        self.camera_frame = camera_frame
+        self.camera_frame = frame_name(camera_frame)
         self._camera = camera
         self._lookup = lookup
         self._kept: dict[tuple[str, int | None], FloatArray] = {}
@@ -188,6 +188,7 @@ class Poses:
         Raises:
             Missing: it cannot be found; the text names ``field``.
         """
+        frame = frame_name(frame)
         if frame in ("", self.world):
             return _IDENTITY
         if frame == self.camera_frame:
@@ -258,6 +259,7 @@ class Frames:
 
     def at(self, settings: Settings, camera_frame: str, stamp: int, last_chance: bool = False) -> Poses:
         """Poses at a stamp [ns] for a depth image in ``camera_frame``. What is missing is said by what is asked for."""
+        camera_frame = frame_name(camera_frame)
         by_tf = settings.pose_source == "tf"
         world = settings.fixed_frame or (camera_frame if by_tf else "")
 

@@ -11,17 +11,17 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker, MarkerArray
 
-from shadow_tracer.ros import qos
+from shadow_tracer.ros import compressed_depth, qos
 from shadow_tracer.ros.diagnostics import Complaint, RateMeter
 from shadow_tracer.ros.frame_queue import FrameQueue, WaitingFrame
 from shadow_tracer.ros.frames import Frames
 from shadow_tracer.ros.lighting import Lighting, LightPose
 from shadow_tracer.ros.mesh_sources import MeshSources
-from shadow_tracer.ros.messages import MessageError, camera_pose, decode_depth, pose_matrix, stamp_ns
+from shadow_tracer.ros.messages import MessageError, camera_pose, decode_depth, in_unit, pose_matrix, stamp_ns
 from shadow_tracer.ros.queries import Queries
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.subscriptions import FollowingSubscription
@@ -73,6 +73,7 @@ class Inputs:
         self._restarted = restarted
         self._last_stamp = 0
         self._next_match = 0
+        self._transport = ""
         self.meshes.layouts.check()
 
     def connect(self, frames: Frames, queries: Queries) -> None:
@@ -87,7 +88,7 @@ class Inputs:
         for name, kind in _MESH_KINDS.items():
             profile = qos.newest_reliable() if name == "mesh" else qos.burst()
             self._add(name, kind, name, partial(self._on_mesh, name), profile, durability=True)
-        self._add("depth", Image, "depth/image_rect", self._read_depth, qos.newest_reliable(), reliability=True)
+        self._subscribe_depth(self._settings().depth_image_transport)
         read = self._reader(CameraInfo, self.depth_refused, "camera_info", self._on_info)
         follow = {"reliability": True, "durability": True}
         self._add("info", CameraInfo, "depth/camera_info", read, qos.newest_reliable(), **follow)
@@ -107,6 +108,9 @@ class Inputs:
         self.queue.every = settings.process == "every"
         if not self.subscriptions:
             return
+        if settings.depth_image_transport != self._transport:
+            self.subscriptions.pop("depth").close()
+            self._subscribe_depth(settings.depth_image_transport)
         profile = qos.every_reliable() if self.queue.every else qos.newest_reliable()
         for name in ("mesh", "depth", "info"):
             self.subscriptions[name].ask(profile.depth)
@@ -147,6 +151,22 @@ class Inputs:
             self._node, kind, topic, self._guarded(callback), profile, **how
         )
 
+    def _subscribe_depth(self, transport: str) -> None:
+        self._transport = transport
+        self.losses = LossMeter()
+        topic, kind = "depth/image_rect", Image
+        if transport != "raw":
+            topic, kind = self._sibling(topic, transport), CompressedImage
+        self._add("depth", kind, topic, partial(self._read_depth, kind), qos.newest_reliable(), reliability=True)
+
+    def _sibling(self, topic: str, transport: str) -> str:
+        """Where image_transport publishes an image packed: beside its topic after remapping, if it is not remapped
+        itself."""
+        sibling = f"{topic}/{transport}"
+        resolve = self._node.resolve_topic_name
+        remapped = resolve(sibling) != resolve(sibling, only_expand=True)
+        return str(resolve(sibling) if remapped else f"{resolve(topic)}/{transport}")
+
     # Everything arrives as bytes: rclpy drops what it cannot read without a word, here it is counted and explained.
 
     @staticmethod
@@ -162,30 +182,31 @@ class Inputs:
 
         return read
 
-    def _read_depth(self, data: bytes, info: dict[str, Any]) -> None:
+    def _read_depth(self, kind: Any, data: bytes, info: dict[str, Any]) -> None:
         number = info.get("publication_sequence_number") or 0
         alone = self.subscriptions["depth"].publisher_count == 1
         self.losses.note(number, time.monotonic(), alone)
         start = time.perf_counter()
-        self._reader(Image, self.depth_refused, "image", partial(self._on_depth, start=start))(data)
+        self._reader(kind, self.depth_refused, "image", partial(self._on_depth, start=start))(data)
 
-    def _on_depth(self, msg: Image, start: float | None = None) -> None:
-        start = time.perf_counter() if start is None else start
+    def _on_depth(self, msg: Image | CompressedImage, start: float) -> None:
         now, stamp = time.monotonic(), stamp_ns(msg.header.stamp)
         self.depth.tick(now)
         try:
-            depth = decode_depth(msg)
+            image, depth = _unpacked(msg, self._settings())
         except MessageError as error:
             self.depth_refused.add(str(error), now)
             return
         if stamp < self._last_stamp - BACKWARD_STAMPS:
             self._restarted(f"depth images start again {(self._last_stamp - stamp) * 1e-9:.1f} s earlier")
         self._last_stamp = stamp
-        self.depth_format, self.depth_bytes = f"{msg.encoding} {msg.width} x {msg.height}", len(msg.data)
-        self.camera_frame = msg.header.frame_id
+        packed = "" if image is msg else f", {self._transport}"
+        self.depth_format = f"{image.encoding} {image.width} x {image.height}{packed}"
+        self.depth_bytes = len(msg.data)
+        self.camera_frame = self._settings().camera_frame or msg.header.frame_id
         # Frames that wait in line were taken before the meshes that come meanwhile.
         parts = self.meshes.store.snapshot() if self.queue.every else None
-        self.queue.put(WaitingFrame(msg, depth, stamp, now, (time.perf_counter() - start) * 1e3, parts))
+        self.queue.put(WaitingFrame(image, depth, stamp, now, (time.perf_counter() - start) * 1e3, parts))
         self._work()
 
     def _on_info(self, msg: CameraInfo) -> None:
@@ -219,3 +240,12 @@ class Inputs:
     def _wake(self) -> None:
         if len(self.queue) or len(self._queries):
             self._work()
+
+
+def _unpacked(msg: Image | CompressedImage, settings: Settings) -> tuple[Image, Any]:
+    """The image with its header, without pixels where it came packed; and its depth. Raises MessageError."""
+    if isinstance(msg, Image):
+        return msg, decode_depth(msg, settings.depth_unit)
+    depth = in_unit(compressed_depth.decode(msg.format, msg.data, settings.max_rays), settings.depth_unit)
+    encoding = msg.format.partition(";")[0].strip()
+    return Image(header=msg.header, height=depth.shape[0], width=depth.shape[1], encoding=encoding), depth

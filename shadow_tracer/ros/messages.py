@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from array import array
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 DEPTH_ENCODINGS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 LARGEST_SIDE = 2**16
+MILLIMETRE = 0.001  # [m], a step of 16UC1 and mono16 by REP 118
 _FOCAL_RANGE = (1e-3, 1e7)  # [px]
 
 
@@ -36,11 +38,15 @@ def stamp_ns(stamp: Any) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def decode_depth(msg: Image) -> npt.NDArray[Any]:
-    """Depth image as numpy, without a copy where byte order and ``step`` allow it.
+def decode_depth(msg: Image, unit: float = MILLIMETRE) -> npt.NDArray[Any]:
+    """Depth image as numpy, without a copy where byte order, ``step`` and ``unit`` allow it.
+
+    Args:
+        unit: length of a step of 16UC1 and mono16 [m].
 
     Returns:
-        (H, W) uint16 millimetres (16UC1, mono16) or float32 metres (32FC1), native byte order, C-contiguous.
+        (H, W) uint16 millimetres (16UC1, mono16) or float32 metres (32FC1, or another unit than a millimetre), native
+        byte order, C-contiguous.
 
     Raises:
         MessageError: another encoding, no pixels, ``step`` or data too short.
@@ -57,7 +63,26 @@ def decode_depth(msg: Image) -> npt.NDArray[Any]:
     if len(msg.data) < step * height:
         raise MessageError(f"data: expected step * height = {step * height} bytes, got {len(msg.data)}")
     pixels: npt.NDArray[Any] = np.ndarray((height, width), dtype, msg.data, strides=(step, dtype.itemsize))
-    return np.ascontiguousarray(pixels, dtype=dtype.newbyteorder("="))
+    return in_unit(np.ascontiguousarray(pixels, dtype=dtype.newbyteorder("=")), unit)
+
+
+def in_unit(depth: npt.NDArray[Any], unit: float) -> npt.NDArray[Any]:
+    """A depth image whose steps have a length, as the tracer takes it.
+
+    Args:
+        depth: (H, W) uint16 steps, or float32 metres, which stay as they are.
+        unit: length of a step [m].
+
+    Returns:
+        uint16 as they are if a step is a millimetre; else float32 metres, step * unit computed in float64 and rounded
+        once, so that the image is the one that a camera of metres would have sent. 0 stays 0, no measurement.
+    """
+    return _metres(unit)[depth] if depth.dtype == np.uint16 and unit != MILLIMETRE else depth
+
+
+@lru_cache(maxsize=2)
+def _metres(unit: float) -> npt.NDArray[np.float32]:
+    return (np.arange(2**16, dtype=np.float64) * unit).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -166,6 +191,11 @@ def info_content(info: CameraInfo) -> tuple[Any, ...]:
     return info.header.frame_id, info.distortion_model, *numbers, *size, *window
 
 
+def frame_name(name: str) -> str:
+    """A frame as tf2 calls it: without the leading slash that tf of ROS 1 allowed, and some drivers still send."""
+    return name[1:] if name.startswith("/") else name
+
+
 def rigid(position: npt.ArrayLike, quaternion: npt.ArrayLike, field: str) -> FloatArray:
     """(4, 4) transform of a position [m] and a quaternion x y z w, which is normalised.
 
@@ -202,7 +232,7 @@ def camera_pose(msg: PoseStamped, fixed_frame: str) -> tuple[int, FloatArray]:
     Raises:
         MessageError: it is in another frame than ``fixed_frame``, where both are named; or as :func:`rigid`.
     """
-    frame = msg.header.frame_id
+    frame = frame_name(msg.header.frame_id)
     if fixed_frame and frame and frame != fixed_frame:
         raise MessageError(f"header.frame_id: expected fixed_frame {fixed_frame!r}, got {frame!r}")
     return stamp_ns(msg.header.stamp), pose_matrix(msg.pose, "pose")

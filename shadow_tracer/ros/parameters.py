@@ -14,6 +14,7 @@ from typing import Any
 
 from shadow_tracer import available_pipelines
 from shadow_tracer.ros.camera_infos import POLICIES
+from shadow_tracer.ros.messages import MILLIMETRE
 from shadow_tracer.ros.parameter_rows import (
     BOOL,
     DOUBLE,
@@ -81,6 +82,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("pose_source", STRING, "tf",
               "Where the pose of the camera's optical frame in fixed_frame comes from: tf (at the stamp of the "
               "image), the topic camera_pose, or the parameter camera_pose.", allowed=("tf", "topic", "parameter")),
+    Parameter("camera_frame", STRING, "",
+              "Optical frame of the depth image, where its header names another one or none; empty is that of the "
+              "header.", pattern=_FRAME, pattern_text=_FRAME_TEXT),
     Parameter("camera_pose", DOUBLES, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
               "Pose of the optical frame, x y z [m] qx qy qz qw, used when pose_source is parameter.", length=7),
     Parameter("tf_timeout", DOUBLE, 0.2,
@@ -96,6 +100,12 @@ PARAMETERS: tuple[Parameter, ...] = (
               "paths, file:// or package://<package>/...; [''] is none."),
     Parameter("mesh.files_scale", DOUBLE, 0.0,
               "Length of a file's unit; 0 takes the unit that is written in the file, or metres.", "m", 0.0, 1e6),
+    Parameter("depth_image_transport", STRING, "raw",
+              "raw takes images from depth/image_rect, compressedDepth packed ones (PNG, RVL) from "
+              "depth/image_rect/compressedDepth.", allowed=("raw", "compressedDepth")),
+    Parameter("depth.unit", DOUBLE, MILLIMETRE,
+              "Length of a step of 16UC1 and mono16. Other than 0.001: a depth is step * unit, rounded to float32.",
+              "m", 1e-6, 1.0),
     Parameter("occluders", STRING, "mesh",
               "What casts shadow: received meshes and mesh files, the surface that the depth image itself shows, or "
               "both.", allowed=("mesh", "depth", "mesh+depth")),

@@ -115,7 +115,9 @@ class Processor:
             optics = intrinsics(info, width, height)
         except MessageError as error:
             raise Missing(DEPTH, str(error), wait=False, level=ERROR) from error
-        poses = self._frames.at(settings, frame.image.header.frame_id, frame.stamp, last_chance)
+        poses = self._frames.at(
+            settings, settings.camera_frame or frame.image.header.frame_id, frame.stamp, last_chance
+        )
         lit = self._lighting.at(settings, poses, frame.stamp)
         return _Job(info, optics, optics.camera(poses.camera_to_world), lit, poses)
 

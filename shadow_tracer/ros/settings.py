@@ -73,12 +73,15 @@ class Settings:
     threads: int
     fixed_frame: str
     pose_source: str
+    camera_frame: str
     camera_pose: tuple[float, ...]
     tf_timeout: float
     mesh_frame: str
     mesh_max_age: float
     mesh_files: tuple[str, ...]
     mesh_files_scale: float
+    depth_image_transport: str
+    depth_unit: float
     occluders: str
     depth_occluder_step: int
     depth_occluder_max_jump: float

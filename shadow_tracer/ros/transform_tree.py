@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from shadow_tracer.ros.diagnostics import TRANSFORMS, Missing
-from shadow_tracer.ros.messages import MessageError, rigid
+from shadow_tracer.ros.messages import MessageError, frame_name, rigid
 from shadow_tracer.ros.settings import FloatArray
 
 Vector = tuple[float, ...]
@@ -73,7 +73,7 @@ class TransformTree:
         Raises:
             MessageError: not finite, not a unit quaternion, a frame without name, or child and parent are the same.
         """
-        child, parent = (name[1:] if name.startswith("/") else name for name in (child, parent))
+        child, parent = (frame_name(name) for name in (child, parent))
         if not child or not parent or child == parent:
             raise MessageError(f"child_frame_id: expected two different frames, got {child!r} in {parent!r}")
         matrix = rigid(translation, quaternion, f"transform from {child} to {parent}")

@@ -259,6 +259,30 @@ def test_poses_from_a_topic_and_the_latest_camera_info(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(edges), -0.25 * FOCAL / 2, atol=1.0)
 
 
+def test_slashes_units_and_another_camera_frame(tmp_path: Path) -> None:
+    """Frames with a leading slash are found in tf; steps of a fifth of a millimetre give the masks of metres."""
+    metres = depth_image(1)
+    steps = np.uint16(np.nan_to_num(metres) / 0.0002)
+    options = parameters(fixed_frame="map", depth__unit=0.0002)
+    masks = []
+    for name, depth, slash, frame in (
+        ("plain", np.float32(steps * 0.0002), "", "camera"),
+        ("slash", steps, "/", "camera"),
+        ("named", steps, "/", "x"),
+    ):
+        made = BagMaker()
+        made.raw("/mesh", MESH, encode_mesh(*plate()))
+        made.add("/tf_static", transform(f"{slash}map", f"{slash}camera", 0, (0.25, 0.0, 0.0)))
+        made.add(INFO, info(W, H, SECOND, FOCAL))
+        made.add(DEPTH, image(depth, SECOND, f"{slash}{frame}"))
+        named = parameters(camera_frame="camera") if frame == "x" else []
+        found = run(made.write(tmp_path / name), tmp_path / f"{name}.mcap", *options, *named)
+        masks.append(pixels(found["/shadow_tracer/mask"][0]))
+    assert (masks[0] == 0).sum() > 100 and (masks[0] == 255).sum() > 100
+    for mask in masks[1:]:
+        np.testing.assert_array_equal(mask, masks[0])
+
+
 def test_one_camera_info_for_all_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Latched, it stands in the bag once, with a stamp of its own, and the images may start again after the last."""
     made = BagMaker()

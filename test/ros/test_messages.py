@@ -53,6 +53,17 @@ def test_depth_is_decoded(encoding: str, values: np.ndarray, padding: int, big: 
     np.testing.assert_array_equal(depth, values)
 
 
+@pytest.mark.parametrize("unit", [1e-6, 0.0001, 0.0002, 0.25, 1.0])
+def test_a_step_of_another_length(unit: float) -> None:
+    """The product in float64, rounded once; 0 stays no measurement, and metres are metres."""
+    steps = np.arange(2**16, dtype=np.uint16).reshape(256, 256)
+    found = decode_depth(depth_msg(steps, "16UC1", True, 3), unit)
+    assert found.dtype == np.float32 and found.flags.c_contiguous and found[0, 0] == 0.0
+    assert found.ravel()[1:].tolist() == [float(np.float32(step * unit)) for step in range(1, 2**16)]
+    np.testing.assert_array_equal(decode_depth(depth_msg(METRES, "32FC1", False, 0), unit), METRES)
+    assert decode_depth(depth_msg(steps, "16UC1", False, 0), 0.001).dtype == np.uint16
+
+
 def test_plain_depth_is_not_copied() -> None:
     msg = depth_msg(MILLIMETRES, "16UC1", False, 0)
     assert np.shares_memory(decode_depth(msg), np.frombuffer(msg.data, np.uint8))
@@ -203,6 +214,13 @@ def test_content_of_camera_info_is_all_but_its_stamp() -> None:
         setattr(other.roi, name, True if name == "do_rectify" else 1)
         assert info_content(other) != info_content(info_msg(64, 48, 1)), name
     assert info_content(info_msg(64, 48, 1, frame="b")) != info_content(info_msg(64, 48, 1, frame="c"))
+
+
+@pytest.mark.parametrize("frame", ["map", "/map"])
+def test_a_leading_slash_of_a_pose(frame: str) -> None:
+    msg = PoseStamped()
+    msg.header.frame_id = frame
+    assert camera_pose(msg, "map")[0] == 0
 
 
 def test_without_p_and_k_the_camera_is_uncalibrated() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import test_node_cameras
 from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, plate, wall
 from rclpy.parameter import Parameter
 from shape_msgs.msg import Mesh
@@ -445,6 +446,9 @@ SHOWN_BELOW = {
     "device": test_device,
     "threads": test_threads,
     "tf_timeout": test_tf_timeout,
+    "camera_frame": test_node_cameras.test_camera_frame_stands_for_that_of_the_header,
+    "depth_image_transport": test_node_cameras.test_the_transport_can_be_changed_while_the_node_runs,
+    "depth.unit": test_node_cameras.test_a_unit_gives_the_masks_of_metres,
     "camera_info_policy": test_camera_info_policy,
     "mask.publish": test_mask_publish,
     "process": test_process,

@@ -50,6 +50,22 @@ class Both:
         return None
 
 
+@pytest.mark.parametrize("slash", ["", "/"])
+def test_leading_slashes_lead_to_the_same_frames(slash: str) -> None:
+    """tf of ROS 1 wrote them, and some drivers still do, in transforms or in headers."""
+    for in_tf in ("", "/"):
+        tree = TransformTree()
+        tree.add(f"{in_tf}camera", f"{in_tf}map", SECOND, (1.0, 2.0, 3.0), STILL, True)
+        tree.add(f"{in_tf}arm", f"{in_tf}map", SECOND, (4.0, 5.0, 6.0), STILL, True)
+        frames = Frames(lambda tree=tree: tree)  # type: ignore[misc]
+        poses = frames.at(settings_from({"fixed_frame": "map"}), f"{slash}camera", SECOND)
+        assert poses.camera_frame == "camera"
+        assert poses.camera_to_world[:3, 3].tolist() == [1.0, 2.0, 3.0]
+        assert poses.frame_to_world(f"{slash}camera", "a")[:3, 3].tolist() == [1.0, 2.0, 3.0]
+        assert poses.frame_to_world(f"{slash}arm", "a")[:3, 3].tolist() == [4.0, 5.0, 6.0]
+        np.testing.assert_array_equal(poses.frame_to_world(f"{slash}map", "a"), np.eye(4))
+
+
 def random_tree(rng: np.random.Generator) -> tuple[Both, list[str]]:
     both, names = Both(), ["map", "other"]
     for number in range(6):
