@@ -45,7 +45,17 @@ setup(
         # Lights of type sun.
         "sun": ["ephem>=4.1.5"],
         # `shadow_tracer bag` on recordings, without ROS.
-        "bag": ["pyyaml>=6.0", "rich>=13.7", "rosbags>=0.11", "scipy>=1.11"],
+        # Pillow is for compressedDepth alone, lz4 and mcap for recordings that were cut off.
+        "bag": [
+            "lz4>=4.3",
+            "mcap>=1.2",
+            "pillow>=10.3",
+            "pyyaml>=6.0",
+            "rich>=13.7",
+            "rosbags>=0.11",
+            "scipy>=1.11",
+            "zstandard>=0.22",
+        ],
         # Depth images of the transport compressedDepth that are PNG; RVL needs nothing.
         "compressed": ["pillow>=10.3"],
         "demo": ["pillow>=10.3", "rich>=13.7"],

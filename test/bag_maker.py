@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 STILL = (0.0, 0.0, 0.0, 1.0)
@@ -120,15 +122,82 @@ class BagMaker:
         self.now += 1_000_000
         self._log.append((topic, kind, self.now, data))
 
-    def write(self, path: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
-        """Write a bag into a new folder; returns it."""
-        with Writer(path, version=9, storage_plugin=storage) as writer:
+    def write(
+        self,
+        path: Path,
+        storage: StoragePlugin = StoragePlugin.MCAP,
+        compression: CompressionMode | None = None,
+        types: Any = TYPES,
+        part: slice = slice(None),
+    ) -> Path:
+        """Write a bag into a new folder, of messages as ``types`` define them; returns it."""
+        writer = Writer(path, version=9, storage_plugin=storage)
+        if compression:
+            writer.set_compression(compression, CompressionFormat.ZSTD)
+        with writer:
             connections: dict[str, Any] = {}
-            for topic, kind, time, data in self._log:
+            for topic, kind, time, data in self._log[part]:
                 if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=TYPES)
-                writer.write(connections[topic], time, data)
+                    connections[topic] = writer.add_connection(topic, kind, typestore=types)
+                writer.write(connections[topic], time, data if types is TYPES else redefined(data, kind, types))
         return path
+
+    def write_ros1(
+        self, path: Path, types: Any = None, renamed: dict[str, str] | None = None, compression: str = "none"
+    ) -> Path:
+        """Write a bag of ROS 1, whose headers count; returns its file. ``renamed`` types are defined in ``types``."""
+        types = types or ros1_types()
+        writer = Writer1(path)
+        if compression != "none":
+            writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+        with writer:
+            connections: dict[str, Any] = {}
+            for number, (topic, kind, time, data) in enumerate(self._log, 1):
+                name = (renamed or {}).get(kind, kind)
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, name, typestore=types)
+                writer.write(connections[topic], time, ros1_bytes(data, kind, number, types))
+        return path
+
+
+def ros1_types() -> Any:
+    """The types of ROS 1 Noetic, with those of tf2."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    for kind in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
+        types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    return types
+
+
+def redefined(data: bytes, kind: str, types: Any) -> bytes:
+    """Bytes of a message of Jazzy as other types of ROS 2 have them; what is no such message stays."""
+    if kind not in TYPES.fielddefs:
+        return data
+    return bytes(types.serialize_cdr(older(TYPES.deserialize_cdr(data, kind), types), kind))
+
+
+def ros1_bytes(data: bytes, kind: str, number: int, types: Any) -> bytes:
+    """Bytes of a message of Jazzy as ROS 1 has them; a header at the start gets this number."""
+    try:
+        message = TYPES.deserialize_cdr(data, kind)
+    except SerdeError:
+        return data
+    raw = bytearray(types.serialize_ros1(older(message, types), kind))
+    if TYPES.fielddefs[kind][1][0][0] == "header":
+        raw[:4] = number.to_bytes(4, "little")
+    return bytes(raw)
+
+
+def older(message: Any, types: Any) -> Any:
+    """The message of the same name in other types: without the fields that these lack, 0 in those they have beyond."""
+    if isinstance(message, list):
+        return [older(part, types) for part in message]
+    kind = getattr(message, "__msgtype__", None)
+    if kind is None:
+        return message
+    values = {}
+    for name, _ in types.fielddefs[kind][1]:
+        values[name] = older(getattr(message, name.lower() if len(name) == 1 else name, 0), types)
+    return types.types[kind](**values)
 
 
 def read(path: Path) -> dict[str, list[Any]]:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from shadow_tracer.apps.bag_reader import Background, Recording
     from shadow_tracer.apps.bag_writer import Output
 
-NEEDED = ("rosbags", "yaml", "rich", "scipy")
+NEEDED = ("rosbags", "mcap", "zstandard", "yaml", "rich", "scipy")
+UNKNOWN = 3  # exit code
 _NOT_OURS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 
 _DESCRIPTION = """\
@@ -32,6 +33,13 @@ Answers every depth image of a bag as the node would, and writes ~/mask, ~/mask/
 ~/query/visibility and ~/timing into a new bag. No ROS is needed. Transforms, camera poses and camera_info are read
 before, so that none comes late; meshes, light poses and static transforms that change are taken in the order of the
 log. The same bag and parameters give the same masks, bit by bit."""
+
+_EXIT_CODES = """exit code:
+  0  the bag was written
+  1  it was not, for the reason given
+  2  a wrong option, or a package that is missing
+  3  it was written, but nothing is known of any depth image; with --strict, of any one of them or of a query
+  130  interrupted"""
 
 _EXAMPLE = """\
 example:
@@ -59,8 +67,8 @@ def load_settings(names: Names, files: Sequence[Path], given: Sequence[str]) -> 
     return settings_from(values), unknown_names(ours, names_for(lights), lights)
 
 
-def perform(chosen: argparse.Namespace) -> None:
-    """Do what the options ask for.
+def perform(chosen: argparse.Namespace) -> int:
+    """Do what the options ask for. Returns the exit code, 0 or 3.
 
     Raises:
         BagError: a bag cannot be read or written.
@@ -79,6 +87,8 @@ def perform(chosen: argparse.Namespace) -> None:
     lights = [light.name for light in settings.lights if light.type != "sun"]
     wish = Wish(timing=not chosen.no_timing, overlay=chosen.overlay, copy=chosen.copy)
     with Recording(chosen.bag, names, lights) as recording, Output(chosen.output, chosen.overwrite) as output:
+        for line in (*recording.notes, *(f"warning: {text}" for text in recording.warnings)):
+            print(line, file=sys.stderr)
         background = read_background(recording, settings)
         tracer = ShadowTracer(
             settings.pipeline, settings.variant or None, device=settings.tracer_device, bounds=settings.bounds
@@ -90,6 +100,9 @@ def perform(chosen: argparse.Namespace) -> None:
     _summarise(result, output, player, tracer, time.monotonic() - start)
     for line in advice:
         print(f"warning: {line}", file=sys.stderr)
+    # a depth image or a query that was refused is not answered either
+    incomplete = bool(result.reasons or {"depth", "query"} & result.refused.keys())
+    return UNKNOWN if not result.traced or (chosen.strict and incomplete) else 0
 
 
 def _play(player: Player, recording: Recording) -> Result:
@@ -150,10 +163,10 @@ def _options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="shadow_tracer bag",
         description=_DESCRIPTION,
-        epilog=_EXAMPLE,
+        epilog=f"{_EXIT_CODES}\n\n{_EXAMPLE}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("bag", type=Path, metavar="IN", help="an mcap or db3 file, or the folder of a bag")
+    parser.add_argument("bag", type=Path, metavar="IN", help="an mcap, db3 or ROS 1 bag file, or the folder of a bag")
     parser.add_argument("output", type=Path, metavar="OUT", help="new file *.mcap, or the folder of a new bag")
     parser.add_argument(
         "--params-file",
@@ -188,29 +201,31 @@ def _options() -> argparse.ArgumentParser:
         "--no-timing", action="store_true", help="leave out ~/timing, all that differs between two runs"
     )
     parser.add_argument("--copy", action="store_true", help="also copy everything of IN but topics of these names")
+    parser.add_argument(
+        "--strict", action="store_true", help="exit code 3 if nothing is known of any one depth image or query"
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point: 0 if the bag was written, 1 if not, 2 for a wrong option or missing package, 130 if interrupted."""
+    """Entry point. Returns the exit code, which ``--help`` explains."""
     chosen = _options().parse_args(arguments)
     if text := missing():
         print(text, file=sys.stderr)
         return 2
-    from shadow_tracer.apps.bag_reader import BagError
+    from shadow_tracer.apps.bag_files import BagError
 
     try:
         if chosen.output.exists() and chosen.bag.exists() and chosen.output.samefile(chosen.bag):
             raise BagError(f"{chosen.output}: is the bag that is read; choose another name")
-        perform(chosen)
+        return perform(chosen)
     except KeyboardInterrupt:
         print("bag: interrupted, nothing was written", file=sys.stderr)
         return 130
     except (BagError, ValueError, RuntimeError, ImportError, OSError) as error:
         print(f"bag: {error}", file=sys.stderr)
         return 1
-    return 0
 
 
 if __name__ == "__main__":

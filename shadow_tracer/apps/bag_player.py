@@ -131,18 +131,22 @@ class Player:
         lights = [f"light {light.name}" for light in self._settings.lights]
         inputs = ["depth", "info", "query", "tf_static", *MESHES, *lights]
         for message in self._recording.messages(None if self._wish.copy else inputs):
-            if self._wish.copy and message.connection.topic not in self._mine:
-                self._output.copy(message.connection, message.time, message.data)
-            if message.name not in inputs:
-                continue
             try:
-                self._take(message)
+                if self._wish.copy and message.topic not in self._mine:
+                    self._copy(message)
+                if message.name in inputs:
+                    self._take(message)
             except MessageError as error:
-                self.result.refuse(message.name, str(error))
+                self.result.refuse(message.name or message.topic, str(error))
             if message.name == "depth":
                 progress()
         self._sum_up()
         return self.result
+
+    def _copy(self, message: Message) -> None:
+        data, types = self._recording.copier(message)
+        qos = getattr(message.connection.ext, "offered_qos_profiles", [])  # ROS 1 has none
+        self._output.copy(message.topic, message.time, message.kind, data, types, qos)
 
     def _take(self, message: Message) -> None:
         name = message.name
@@ -198,7 +202,7 @@ class Player:
         topic = self._names.topic("~/query/visibility")
         self._queries.step(
             self._settings, self._tracer, self._camera_frame, _LATER, now_ns,
-            lambda reply: self._output.message(topic, now_ns, reply, self._recording.typestore),
+            lambda reply: self._output.message(topic, now_ns, reply),
         )  # fmt: skip
         if self._queries.missing is not None:
             self._give_reason(f"query: {self._queries.missing.text}")
@@ -233,7 +237,7 @@ class Player:
             picture = overlay(answer.frame.depth, mask, optics.fx, optics.fy, optics.cx, optics.cy)
             self._output.image(topic("~/overlay"), now_ns, picture, "rgb8", header)
         if answer.info is not None:
-            self._output.message(topic("~/camera_info"), now_ns, answer.info, self._recording.typestore)
+            self._output.message(topic("~/camera_info"), now_ns, answer.info)
         end = time.perf_counter()
         if self._wish.timing:
             self._timing(answer, now_ns, {"write": (end - made) * 1e3, "total": (end - start) * 1e3})

@@ -6,27 +6,34 @@ Topics are known by the short names of :data:`INPUTS`; those of lights are ``lig
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from heapq import merge
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
+from shadow_tracer.apps.bag_files import BagError, BagFiles
 from shadow_tracer.apps.bag_names import Names
+from shadow_tracer.apps.bag_types import USUAL, Convert, Types, usual_name
+from shadow_tracer.ros.compressed_depth import decode as decode_compressed
 from shadow_tracer.ros.frames import PoseBuffer
-from shadow_tracer.ros.messages import MessageError, camera_pose, stamp_ns
+from shadow_tracer.ros.messages import MessageError, camera_pose, image_layout, stamp_ns
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.transform_tree import TransformTree
 
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
 POSE = "geometry_msgs/msg/PoseStamped"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 TF = "tf2_msgs/msg/TFMessage"
 INPUTS = {
-    "depth": ("depth/image_rect", "sensor_msgs/msg/Image"),
+    "depth": ("depth/image_rect", IMAGE),
     "info": ("depth/camera_info", "sensor_msgs/msg/CameraInfo"),
     "pose": ("camera_pose", POSE),
     "mesh": ("mesh", "shape_msgs/msg/Mesh"),
@@ -38,32 +45,52 @@ INPUTS = {
     "tf_static": ("/tf_static", TF),
 }
 MESHES = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud")
-
-
-class BagError(Exception):
-    """The bag cannot be used, or not be written; the text says why and what helps."""
+_SIBLING = "compressedDepth"  # what image_transport adds to the name of a topic
 
 
 @dataclass(frozen=True)
 class Message:
-    """One message of the bag: short name of its input ("" if it is none), log time [ns], connection and bytes."""
+    """One message of the bag.
+
+    Attributes:
+        name: short name of its input, "" if it is none.
+        topic: full name.
+        time: log time [ns].
+        kind: its type, by its name in ROS 2.
+        raw: the bytes as they were recorded.
+        convert: what makes them those of :attr:`kind` in ROS 2.
+        connection: the topic as rosbags knows it.
+    """
 
     name: str
+    topic: str
     time: int
+    kind: str
+    raw: bytes
+    convert: Convert
     connection: Any
-    data: bytes
+
+    @property
+    def data(self) -> bytes:
+        """Its bytes in plain CDR. Raises MessageError."""
+        return self.convert(self.raw)
 
 
 class Recording:
     """A bag that is open for reading. Use as a context manager.
 
     Args:
-        path: an mcap or sqlite3 file, or the folder of a bag.
+        path: a file, or the folder of a bag; of ROS 2 or ROS 1.
         names: how topics are called.
         lights: names of lights whose poses may be in it.
 
+    Attributes:
+        warnings: what is missing of the recording, a sentence each.
+        notes: what was chosen that was not asked for, a sentence each.
+
     Raises:
         BagError: it cannot be opened, has no depth images or camera_info, or a topic has another type.
+        OSError: a file cannot be read, or there is no room to unpack it.
     """
 
     def __init__(self, path: Path, names: Names, lights: Iterable[str]) -> None:
@@ -72,22 +99,20 @@ class Recording:
         self._wanted = {names.topic(topic): (name, kind) for name, (topic, kind) in inputs.items()}
         if len(self._wanted) < len(inputs):
             raise BagError("--remap: two inputs have got the same topic")
-        self._usual = get_typestore(Stores.ROS2_JAZZY)
+        self.notes: list[str] = []
+        self._readers: list[AnyReader] = []
+        self._types: dict[int, Types] = {}
+        self._stack = ExitStack()
         try:
-            self._reader = AnyReader([path], default_typestore=self._usual)
-            if not self._reader.is2:
-                raise BagError(f"{path}: expected a bag of ROS 2; convert it with rosbags-convert")
-            self._reader.open()
-        except FileNotFoundError as error:
-            raise BagError(f"{path}: expected an mcap or db3 file or the folder of a bag, found none") from error
-        except BagError:
-            raise
-        except Exception as error:  # of the library, which trusts what it reads
-            raise BagError(f"{path}: the bag cannot be read: {type(error).__name__} {error}") from error
-        try:
+            files = BagFiles(path)
+            self._stack.callback(files.close)
+            self.warnings = files.warnings
+            for file in files.paths:
+                self._open(file)
+            self._choose_depth()
             self._check()
         except BaseException:
-            self._reader.close()
+            self._stack.close()
             raise
 
     def __enter__(self) -> Recording:
@@ -96,67 +121,123 @@ class Recording:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._reader.close()
-
-    @property
-    def typestore(self) -> Any:
-        """The message types of the bag."""
-        return self._reader.typestore
+        self._stack.close()
 
     @property
     def connections(self) -> list[Any]:
-        """Topics of the bag with their types."""
-        return self._reader.connections
+        """Topics of the bag with their types; one that is in several files stands here several times."""
+        return [connection for reader in self._readers for connection in reader.connections]
 
     def count(self, *names: str) -> int:
         """Messages of these inputs."""
-        return sum(connection.msgcount for connection in self._connections(names))
+        return sum(connection.msgcount for connection in self.connections if self._name(connection) in names)
 
     def messages(self, names: Iterable[str] | None) -> Iterator[Message]:
         """Messages of these inputs in the order of the log; None: of all topics. Raises BagError."""
-        chosen = self.connections if names is None else self._connections(names)
-        if not chosen:
-            return
+        wanted = None if names is None else set(names)
+        chosen = []
+        for number, reader in enumerate(self._readers):
+            connections = [c for c in reader.connections if wanted is None or self._name(c) in wanted]
+            if connections:  # for none rosbags would give all
+                chosen.append(self._messages_of(number, connections))
+        return merge(*chosen, key=lambda message: message.time)
+
+    def decode(self, message: Message) -> Any:
+        """The message as an object; a compressed depth image as the image it holds.
+
+        Raises:
+            MessageError: its bytes are not one.
+        """
+        data = message.data
         try:
-            for connection, time, data in self._reader.messages(chosen):
-                yield Message(self._name(connection), time, connection, data)
+            content: Any = USUAL.deserialize_cdr(data, message.kind)
+        except Exception as error:  # bytes can be wrong in any way
+            raise MessageError(f"message: not a {message.kind}: {error}") from error
+        return _unpacked(content) if message.kind == COMPRESSED else content
+
+    def copier(self, message: Message) -> tuple[bytes, Any]:
+        """Bytes of any message for a new bag of ROS 2, and the types that define it. Raises MessageError."""
+        convert, types = self._types[id(message.connection.owner)].copier(message.connection.msgtype)
+        return convert(message.raw), types
+
+    def _open(self, file: Path) -> None:
+        try:
+            reader = AnyReader([file], default_typestore=USUAL)
+            self._stack.enter_context(reader)
+        except Exception as error:  # of the library, which trusts what it reads
+            raise BagError(f"{self.path}: the bag cannot be read: {type(error).__name__} {error}") from error
+        self._readers.append(reader)
+        types = Types(reader.typestore, reader.is2)
+        for connection in reader.connections:
+            self._types[id(connection.owner)] = types
+
+    def _messages_of(self, number: int, connections: list[Any]) -> Iterator[Message]:
+        known = {}
+        for connection in connections:
+            types, kind = self._types[id(connection.owner)], connection.msgtype
+            convert = types.converter(kind) or types.copier(kind)[0]
+            known[connection.id] = (self._name(connection), _full(connection), usual_name(kind), convert)
+        try:
+            for connection, time, data in self._readers[number].messages(connections):
+                name, topic, kind, convert = known[connection.id]
+                yield Message(name, topic, time, kind, data, convert, connection)
         except Exception as error:  # of the library, which trusts what it reads
             raise BagError(f"{self.path}: the bag is damaged: {type(error).__name__} {error}") from error
 
-    def decode(self, message: Message) -> Any:
-        """The message as an object. Raises MessageError where its bytes are not one."""
-        try:
-            return self._reader.deserialize(message.data, message.connection.msgtype)
-        except Exception as error:  # bytes can be wrong in any way
-            raise MessageError(f"message: not a {message.connection.msgtype}: {error}") from error
-
     def _name(self, connection: Any) -> str:
-        return self._wanted.get(connection.topic, ("", ""))[0]
+        return self._wanted.get(_full(connection), ("", ""))[0]
 
-    def _connections(self, names: Iterable[str]) -> list[Any]:
-        wanted = set(names)
-        return [connection for connection in self.connections if self._name(connection) in wanted]
+    def _topic(self, name: str) -> str:
+        return next(topic for topic, (other, _) in self._wanted.items() if other == name)
 
-    def _defined_as_usual(self, kind: str) -> bool:
-        try:
-            return bool(self.typestore.hash_rihs01(kind) == self._usual.hash_rihs01(kind))
-        except Exception:  # of the library: the definition uses what is not defined
-            return False
+    def _choose_depth(self) -> None:
+        """Where the depth image is there only compressed, take that."""
+        topic = self._topic("depth")
+        kinds = {_full(c): c.msgtype for c in self.connections if c.msgcount}
+        if topic not in kinds and kinds.get(f"{topic}/{_SIBLING}") == COMPRESSED:
+            self.notes.append(f"note: {topic} is not in the bag; {topic}/{_SIBLING} is used")
+            del self._wanted[topic]
+            topic = f"{topic}/{_SIBLING}"
+        self._wanted[topic] = ("depth", COMPRESSED if kinds.get(topic) == COMPRESSED else IMAGE)
 
     def _check(self) -> None:
         for connection in self.connections:
-            name, kind = self._wanted.get(connection.topic, ("", ""))
-            if name and connection.msgtype != kind:
+            name, kind = self._wanted.get(_full(connection), ("", ""))
+            if name and usual_name(connection.msgtype) != kind:
                 raise BagError(f"{connection.topic}: expected {kind}, the bag has {connection.msgtype}")
-            if name and not self._defined_as_usual(kind):
-                raise BagError(f"{connection.topic}: {kind} is defined differently in this bag than in ROS 2 Jazzy")
-        topics = {name: topic for topic, (name, _) in self._wanted.items()}
+            if name and self._types[id(connection.owner)].converter(connection.msgtype) is None:
+                converted = self.path.with_name(f"{self.path.stem}_jazzy")
+                raise BagError(
+                    f"{connection.topic}: {kind} is defined differently in this bag than in ROS 2 Jazzy; convert it "
+                    f"with: rosbags-convert --src {shlex.quote(str(self.path))} --dst {shlex.quote(str(converted))} "
+                    "--dst-typestore ros2_jazzy"
+                )
         for name in ("depth", "info"):
             if not self.count(name):
-                plain, kind = INPUTS[name]
-                there = sorted({c.topic for c in self.connections if c.msgtype == kind})
-                hint = f"use --remap {plain}:=... with one of {', '.join(there)}" if there else "it has no such topic"
-                raise BagError(f"{self.path}: no {kind} on {topics[name]}; {hint}")
+                raise BagError(self._absent(name))
+
+    def _absent(self, name: str) -> str:
+        plain, kind = INPUTS[name]
+        there = {_full(c) for c in self.connections if c.msgtype == kind and c.msgcount}
+        if name == "depth":
+            ending = f"/{_SIBLING}"
+            compressed = {_full(c) for c in self.connections if c.msgtype == COMPRESSED and c.msgcount}
+            there |= {topic.removesuffix(ending) for topic in compressed if topic.endswith(ending)}
+        hint = f"use --remap {plain}:=... with one of {', '.join(sorted(there))}" if there else "it has no such topic"
+        return "; ".join((f"{self.path}: no {kind} on {self._topic(name)}", hint, *self.warnings))
+
+
+def _full(connection: Any) -> str:
+    """Full name of a topic; ROS 1 may have recorded it without the slash before it."""
+    return f"/{connection.topic.lstrip('/')}"
+
+
+def _unpacked(message: Any) -> Any:
+    """The sensor_msgs/Image of a compressed depth image. Raises MessageError."""
+    depth = decode_compressed(message.format, message.data)
+    encoding = "16UC1" if depth.dtype == np.uint16 else "32FC1"
+    data = depth.reshape(-1).view(np.uint8)
+    return USUAL.types[IMAGE](header=message.header, data=data, **image_layout(depth, encoding))
 
 
 @dataclass

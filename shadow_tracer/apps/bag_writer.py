@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_typestore
 
-from shadow_tracer.apps.bag_reader import BagError
+from shadow_tracer.apps.bag_files import BagError
 from shadow_tracer.ros.messages import image_layout
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -102,21 +102,23 @@ class Output:
         stamped.frame_id = ""
         self._write(topic, time, TIMING, header=stamped, status=[status])
 
-    def message(self, topic: str, time: int, content: Any, typestore: Any) -> None:
-        """Write a message of the types of the bag that is read."""
+    def message(self, topic: str, time: int, content: Any) -> None:
+        """Write a message of ROS 2 Jazzy."""
         kind = content.__msgtype__
-        self._put(topic, time, kind, typestore.serialize_cdr(content, kind), typestore=typestore)
+        self._put(topic, time, kind, self._types.serialize_cdr(content, kind), typestore=self._types)
 
-    def copy(self, connection: Any, time: int, data: bytes) -> None:
-        """Write a message as it was read."""
-        qos = connection.ext.offered_qos_profiles
-        # without a definition in the bag, the one of ROS of that name
-        known = (
-            {"msgdef": connection.msgdef.data, "rihs01": connection.digest}
-            if connection.msgdef.data and connection.digest
-            else {"typestore": self._types}
-        )
-        self._put(connection.topic, time, connection.msgtype, data, offered_qos_profiles=qos, **known)
+    def copy(self, topic: str, time: int, kind: str, data: bytes, typestore: Any, qos: Any) -> None:
+        """Write a message as it was read.
+
+        Args:
+            topic: full name.
+            time: log time [ns].
+            kind: its type.
+            data: its bytes, plain CDR.
+            typestore: what defines the type.
+            qos: profiles that its publishers offered.
+        """
+        self._put(topic, time, kind, data, typestore=typestore, offered_qos_profiles=qos)
 
     def _header(self, header: Any) -> Any:
         types = self._types.types
@@ -132,7 +134,7 @@ class Output:
             if topic not in self._connections:
                 self._connections[topic] = self._writer.add_connection(topic, kind, **how)
             self._writer.write(self._connections[topic], time, data)
-        except (OSError, WriterError, KeyError) as error:
+        except (OSError, WriterError, TypesysError, KeyError) as error:
             raise BagError(f"{self.path}: {topic} cannot be written: {error}") from error
         self.counts[topic] += 1
 

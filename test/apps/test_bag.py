@@ -74,7 +74,7 @@ def run(folder: Path, output: Path, *options: str, expect: int = 0) -> dict[str,
     """The program on a bag; its output by topic."""
     given = [part for value in SMALL for part in ("--param", value)]
     assert cli.main(["bag", str(folder), str(output), *given, *options]) == expect
-    return read(output) if expect == 0 else {}
+    return read(output) if expect in (0, 3) else {}
 
 
 def parameters(**values: Any) -> list[str]:
@@ -382,14 +382,21 @@ def test_other_bags_can_be_read(storage: str, tmp_path: Path) -> None:
 
 def spoil(folder: Path) -> None:
     file = folder / "in.mcap"
+    data = file.read_bytes()
+    file.write_bytes(data[:8] + b"\x0f" + data[9:])
+
+
+def shorten(folder: Path) -> None:
+    file = folder / "in.mcap"
     file.write_bytes(file.read_bytes()[:2000])
 
 
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
-        ("no bag", [], "expected an mcap or db3 file or the folder of a bag, found none"),
+        ("no bag", [], "expected an mcap, db3 or ROS 1 bag file or the folder of a bag, found none"),
         ("spoilt", [], "the bag cannot be read"),
+        ("shortened", [], "in.mcap: the recording is cut off; its 2 whole messages are read"),
         (
             "no depth",
             [],
@@ -424,10 +431,58 @@ def test_errors(
         made.write(folder)
     if change == "spoilt":
         spoil(folder)
+    if change == "shortened":
+        shorten(folder)
     output = tmp_path / "deep" / "out.mcap"
     run(folder, output, *options, expect=1)
     assert message in capsys.readouterr().err
     assert not output.parent.exists() or not list(output.parent.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "code", "strict_code"),
+    [
+        ("nothing", 0, 0),
+        ("one image without transform", 0, 3),
+        ("all images without transform", 3, 3),
+        ("one image refused", 0, 3),
+        ("all images refused", 3, 3),
+        ("query refused", 0, 3),
+        ("query without transform", 0, 3),
+        ("mesh refused", 0, 0),  # the last good one stays
+    ],
+)
+def test_exit_codes(wrong: str, code: int, strict_code: int, tmp_path: Path) -> None:
+    """0 only where something is known, with --strict only where all is; the output is written nevertheless."""
+    made = BagMaker()
+    made.raw("/mesh", MESH, encode_mesh(*plate()))
+    for k in (1, 2):
+        if not (wrong.startswith("all images without") or (k == 2 and wrong == "one image without transform")):
+            made.add("/tf", transform("map", "camera", k * SECOND, (0.0, 0.0, 0.0)))
+        made.add(INFO, info(W, H, k * SECOND, FOCAL))
+        good = image(depth_image(0), k * SECOND)
+        if wrong == "all images refused" or (k == 2 and wrong == "one image refused"):
+            good.encoding = "rgb8"
+        made.add(DEPTH, good)
+    made.add("/query", cloud(np.array([(0.5, 0.5, 2.0)]), SECOND, "nowhere" if wrong.startswith("query w") else "map"))
+    if wrong == "query refused":
+        made.raw("/query", "sensor_msgs/msg/PointCloud2", b"\x00\x01\x00\x00")
+    if wrong == "mesh refused":
+        made.raw("/mesh", MESH, b"\x00\x01")
+    folder = made.write(tmp_path / "in")
+    for options, expect in (([], code), (["--strict"], strict_code)):
+        found = run(
+            folder, tmp_path / "out.mcap", "--overwrite", *parameters(fixed_frame="map"), *options, expect=expect
+        )
+        refused = {"all images refused": 2, "one image refused": 1}.get(wrong, 0)
+        assert len(found.get("/shadow_tracer/mask", [])) == 2 - refused
+
+
+def test_help_explains_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["bag", "--help"])
+    text = capsys.readouterr().out
+    assert all(f"\n  {code}  " in text for code in (0, 1, 2, 3, 130))
 
 
 def test_nothing_is_replaced_by_accident(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
