@@ -292,7 +292,8 @@ def test_one_camera_info_for_all_images(tmp_path: Path, capsys: pytest.CaptureFi
         made.add(DEPTH, image(np.full((H, W), 2.0, np.float32), 10 * k * SECOND))
     folder = made.write(tmp_path / "in")
     for policy, known in (("auto", True), ("latest", True), ("exact", False)):
-        found = run(folder, tmp_path / f"{policy}.mcap", *parameters(camera_info_policy=policy))
+        given, status = parameters(camera_info_policy=policy), 0 if known else 3
+        found = run(folder, tmp_path / f"{policy}.mcap", *given, expect=status)
         masks = [pixels(message) for message in found["/shadow_tracer/mask"]]
         assert len(masks) == 5 and all(bool((mask == 255).any()) == known for mask in masks), policy
         err = capsys.readouterr().err

@@ -359,7 +359,7 @@ def test_the_overlay_shows_what_is_known(rig: Rig) -> None:
         assert (msg.encoding, msg.step, msg.header.frame_id) == ("rgb8", 3 * WIDTH, "camera")
         return np.frombuffer(msg.data, np.uint8).reshape(HEIGHT, WIDTH, 3)
 
-    assert rig.set(lights=["lamp"]) == ""
+    assert rig.set(lights=["lamp"], camera_info_policy="exact") == ""
     centre = (WIDTH - 1) / 2, (HEIGHT - 1) / 2
     first = shown()
     np.testing.assert_array_equal(first, overlay(wall(), rig.trace(wall()), FOCAL, FOCAL, *centre))
