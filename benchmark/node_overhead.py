@@ -55,18 +55,20 @@ def wavy_sheet(cells: int, phase: float) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([u, v, z], axis=-1).reshape(-1, 3), triangles
 
 
-def info_msg(stamp: int) -> CameraInfo:
-    """camera_info at a stamp [ns]."""
-    info = CameraInfo(width=WIDTH, height=HEIGHT)
+def info_msg(stamp: int, width: int = WIDTH, height: int = HEIGHT) -> CameraInfo:
+    """camera_info at a stamp [ns]; the horizontal field of view is the same for every size."""
+    focal = FOCAL * width / WIDTH
+    info = CameraInfo(width=width, height=height)
     info.header.frame_id = "camera"
     info.header.stamp.sec, info.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
-    info.k = [FOCAL, 0.0, WIDTH / 2, 0.0, FOCAL, HEIGHT / 2, 0.0, 0.0, 1.0]
+    info.k = [focal, 0.0, width / 2, 0.0, focal, height / 2, 0.0, 0.0, 1.0]
     return info
 
 
 def image_msg(depth: np.ndarray, stamp: int) -> Image:
     """A depth image of (H, W) uint16 millimetres at a stamp [ns]."""
-    image = Image(width=WIDTH, height=HEIGHT, encoding="16UC1", step=2 * WIDTH)
+    height, width = depth.shape
+    image = Image(width=width, height=height, encoding="16UC1", step=2 * width)
     image.header = info_msg(stamp).header
     image.data.frombytes(memoryview(depth).cast("B"))
     return image
