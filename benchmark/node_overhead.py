@@ -78,7 +78,7 @@ class Measurement:
     """Plays frames to the node and collects what it says about them."""
 
     def __init__(self, processes: bool) -> None:
-        overrides = {"lights": ["lamp"], "lights.lamp.position": list(LAMP), "pose_source": "parameter"}
+        overrides = {"light_names": ["lamp"], "lights.lamp.position": list(LAMP), "pose_source": "parameter"}
         overrides |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic, "device": "cpu"}
         self.node: ShadowNode | None = None
         self.process: subprocess.Popen[bytes] | None = None

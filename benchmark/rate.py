@@ -264,7 +264,7 @@ def compare(case: Case, samples: Path) -> tuple[int, int]:
 
 def measure(case: Case, rate: float, seconds: float) -> dict[str, Any]:
     """Run a node and a publisher; a line of the table."""
-    values = {"lights": ["lamp"], "lights.lamp.position": list(LAMP), "device": "cpu"}
+    values = {"light_names": ["lamp"], "lights.lamp.position": list(LAMP), "device": "cpu"}
     values |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic}
     if case.every:
         values["process"] = "every"

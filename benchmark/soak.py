@@ -55,7 +55,7 @@ KINDS: dict[str, dict[str, Any]] = {
 LIGHT_SETS = (["lamp"], ["lamp", "spot"], ["lamp", "spot", "sky"], ["sky"], ["ball", "lamp"])
 # What a checkpoint sets back; the lights are those of a node without parameters.
 KNOWN: dict[str, Any] = {
-    "lights": ["lamp"],
+    "light_names": ["lamp"],
     "lights.lamp.position": [0.5, -0.5, 0.0],
     "lights.lamp.range": 0.0,
     "lights.lamp.enabled": True,
@@ -155,7 +155,7 @@ class Soak:
             "lights.lamp.position": [rng.uniform(-1, 1), rng.uniform(-1, 0), 0.0],
             "lights.lamp.range": rng.choice((0.0, 2.2, 1e6)),
             "lights.lamp.enabled": rng.random() < 0.8,
-            "lights": rng.choice(LIGHT_SETS),
+            "light_names": rng.choice(LIGHT_SETS),
             "occluders": rng.choice(("mesh", "depth", "mesh+depth")),
             "front_face_culling": rng.random() < 0.3,
             "mask.unknown_value": rng.choice((0, 77, 128)),
@@ -165,15 +165,15 @@ class Soak:
             "camera_info_policy": rng.choice(("auto", "exact", "latest")),
         }
         chosen = {name: choices[name] for name in rng.sample(sorted(choices), rng.randrange(1, 4))}
-        if "lights" in chosen:
-            self.lights = chosen["lights"]
+        if "light_names" in chosen:
+            self.lights = chosen["light_names"]
             chosen |= {key: value for name in self.lights for key, value in KINDS.get(name, {}).items()}
         chosen["bias.constant"] = rng.uniform(0.0, 0.05)
         return {key: value for key, value in chosen.items() if "lamp" in self.lights or ".lamp." not in key}
 
     def set(self, **values: Any) -> None:
         """Set parameters; they must be taken. A light's own exist once it is in the list, so the list goes first."""
-        for part in ([{"lights": values["lights"]}] if "lights" in values else []) + [values]:
+        for part in ([{"light_names": values["light_names"]}] if "light_names" in values else []) + [values]:
             changes = [Parameter(name, value=value).to_parameter_msg() for name, value in part.items()]
             answer = self.setter.call_async(SetParametersAtomically.Request(parameters=changes))
             self.rig.until(answer.done, what=f"an answer to {part}")

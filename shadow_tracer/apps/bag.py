@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from shadow_tracer import ShadowTracer
 from shadow_tracer.apps.bag_names import Names, parameters_of
+from shadow_tracer.ros.former_names import renamed
 from shadow_tracer.ros.parameters import light_names, names_for, problems_in, settings_from, unknown_names
 from shadow_tracer.ros.settings import Settings
 
@@ -59,12 +60,12 @@ def load_settings(names: Names, files: Sequence[Path], given: Sequence[str]) -> 
     Raises:
         ValueError: a file or a value is bad; one line for each.
     """
-    values = parameters_of(names.node, files, given)
+    values, former = renamed(parameters_of(names.node, files, given))
     if problems := problems_in(values):
         raise ValueError("\n".join(problems))
     lights = light_names(values)
     ours = [name for name in values if not name.startswith(_NOT_OURS)]
-    return settings_from(values), unknown_names(ours, names_for(lights), lights)
+    return settings_from(values), former + unknown_names(ours, names_for(lights), lights)
 
 
 def perform(chosen: argparse.Namespace) -> int:

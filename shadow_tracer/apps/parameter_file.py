@@ -24,7 +24,7 @@ def parameters(sequence: Sequence, pipeline: str, variant: str, device: str) -> 
         "bias.constant": sequence.bias[0],
         "bias.quadratic": sequence.bias[1],
         "mask.unknown_value": UNKNOWN_VALUE,
-        "lights": [light.name for light in sequence.lights],
+        "light_names": [light.name for light in sequence.lights],
     }
     for light in sequence.lights:
         values |= {f"lights.{light.name}.{key}": value for key, value in light.parameters().items()}

@@ -29,7 +29,7 @@ class Answer:
         frame: the depth image.
         info: its camera_info, None if there is none.
         missing: why nothing is known; None if the frame was traced.
-        names: all lights in the order of the parameter ``lights``.
+        names: all lights in the order of the parameter ``light_names``.
         enabled: those among them that are enabled.
         unknown_value: value of pixels of which nothing is known.
         traced: the tracer's result for the lights that shine; None if nothing is known or no light shines.

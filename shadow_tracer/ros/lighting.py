@@ -66,7 +66,9 @@ class Lighting:
         """
         if not settings.enabled_lights:
             raise Missing(
-                PROCESSING, "no light is enabled; name one in the parameter lights and set lights.<name>.enabled", False
+                PROCESSING,
+                "no light is enabled; name one in the parameter light_names and set lights.<name>.enabled",
+                False,
             )
         shining, dark = [], []
         for light in settings.enabled_lights:

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from shadow_tracer.ros.core import Core, StartupError
+from shadow_tracer.ros.parameter_rows import ParameterError
 from shadow_tracer.ros.process import main
 from shadow_tracer.ros.settings import Settings
 
@@ -54,7 +55,13 @@ class ShadowNodeMixin(Node):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """As rclpy's, with refusals that say why."""
-        reason = self._core.server.refusal(parameter_list) if self._core else ""
+        reason = ""
+        if self._core:
+            try:
+                parameter_list = self._core.server.renamed(parameter_list)
+                reason = self._core.server.refusal(parameter_list)
+            except ParameterError as error:
+                reason = str(error)
         if reason:
             return SetParametersResult(successful=False, reason=reason)
         return super().set_parameters_atomically(parameter_list)

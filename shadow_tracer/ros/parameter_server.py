@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 
 from shadow_tracer.ros import parameter_rows as rows
 from shadow_tracer.ros import parameters as table
+from shadow_tracer.ros.former_names import FORMER, renamed
 from shadow_tracer.ros.settings import Settings
 
 _TYPES = {
@@ -60,7 +61,8 @@ class ParameterServer:
         self._declaring = False
         # rclpy tells nobody about overrides that were not declared; only here can misspelt ones be found.
         overrides = getattr(node, "_parameter_overrides", {})
-        self._overrides = {name: parameter.value for name, parameter in overrides.items()}
+        given = {name: parameter.value for name, parameter in overrides.items()}
+        self._overrides, self._renamed = renamed(given)
         problems = table.problems_in(self._overrides)
         if problems:
             raise table.ParameterError("\n".join(problems))
@@ -71,9 +73,24 @@ class ParameterServer:
         node.add_post_set_parameters_callback(self._apply)
 
     def warnings(self) -> list[str]:
-        """Overrides that have no effect, each with the nearest name that would."""
+        """Overrides under a former name, and those that have no effect, each with the nearest name that would."""
         known = list(self._node.list_parameters([], 0).names)
-        return table.unknown_names(self._overrides, known, [light.name for light in self.settings.lights])
+        return self._renamed + table.unknown_names(
+            self._overrides, known, [light.name for light in self.settings.lights]
+        )
+
+    def renamed(self, parameters: Sequence[Parameter]) -> list[Parameter]:
+        """The parameters under their names of now; what had a former one is logged.
+
+        Raises:
+            ParameterError: both names are given, with different values.
+        """
+        if not any(parameter.name in FORMER for parameter in parameters):
+            return list(parameters)
+        values, warnings = renamed({parameter.name: parameter.value for parameter in parameters})
+        for warning in warnings:
+            self._node.get_logger().warning(warning)
+        return [Parameter(name, value=value) for name, value in values.items()]
 
     def refusal(self, parameters: Sequence[Parameter]) -> str:
         """Why these cannot be set whatever the others are, "" if they can: unknown, read-only, or not of its row (where

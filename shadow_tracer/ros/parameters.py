@@ -118,7 +118,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               "exact pairs depth and camera_info of the same stamp, latest takes the newest camera_info; auto is exact "
               "where that stamp comes, else the newest if those around the stamp are equal bit for bit.",
               allowed=POLICIES),
-    Parameter("lights", STRINGS, ("lamp",),
+    Parameter("light_names", STRINGS, ("lamp",),
               "Names of the lights, each with its own group lights.<name>; [''] is none.",
               pattern=_LIGHT_NAME, pattern_text="letters, digits and single underscores, a letter first"),
     Parameter("bias.constant", DOUBLE, 0.02,
@@ -201,19 +201,19 @@ def row_of(name: str) -> Parameter | None:
 
 
 def light_names(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """The names in the parameter ``lights``; a lone empty string, the ROS way to write an empty list, is none.
+    """The names in the parameter ``light_names``; a lone empty string, the ROS way to write an empty list, is none.
 
     Raises:
         ParameterError: not a list of valid, different names.
     """
-    names = convert("lights", _BY_NAME["lights"], values.get("lights", _BY_NAME["lights"].default))
+    names = convert("light_names", row := _BY_NAME["light_names"], values.get("light_names", row.default))
     if names == ("",):
         return ()
     for name in names:
         if not _LIGHT_NAME.fullmatch(name):
-            raise ParameterError(f"lights: expected names of {_BY_NAME['lights'].constraint}, got {name!r}")
+            raise ParameterError(f"light_names: expected names of {row.constraint}, got {name!r}")
     if len(set(names)) != len(names):
-        raise ParameterError(f"lights: expected different names, got {list(names)}")
+        raise ParameterError(f"light_names: expected different names, got {list(names)}")
     return names
 
 
@@ -245,7 +245,7 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     names = light_names(values)
     if len(names) > checked["bounds.max_lights"]:
         raise ParameterError(
-            f"lights: expected at most bounds.max_lights = {checked['bounds.max_lights']} names, got {len(names)}"
+            f"light_names: expected at most bounds.max_lights = {checked['bounds.max_lights']} names, got {len(names)}"
         )
     variants = available_pipelines()[checked["pipeline"]]
     if checked["variant"] and checked["variant"] not in variants:
@@ -257,6 +257,7 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     if not 0.99 <= length <= 1.01:
         raise ParameterError(f"camera_pose: expected a unit quaternion qx qy qz qw, got one of length {length:.6g}")
     lights = tuple(_light(name, values) for name in names)
+    del checked["light_names"]  # lights has them
     checked["mesh.files"] = tuple(file for file in checked["mesh.files"] if file)
     fields = {_FIELDS.get(name, name.replace(".", "_")): value for name, value in checked.items()}
     return Settings(**{**fields, "lights": lights})
@@ -320,7 +321,8 @@ def unknown_names(names: Iterable[str], known: Sequence[str], lights: Sequence[s
         parts = name.split(".", 2)
         if row_of(name) is not None and parts[0] == "lights" and parts[1] not in lights:
             warnings.append(
-                f"{name} has no effect: {parts[1]!r} is not in lights {list(lights)}; add it there, or correct the name"
+                f"{name} has no effect: {parts[1]!r} is not in light_names {list(lights)}; add it there, or correct "
+                "the name"
             )
             continue
         near = difflib.get_close_matches(name, known, 1, 0.5)

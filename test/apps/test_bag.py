@@ -116,9 +116,9 @@ def drive(tmp_path: Path) -> tuple[Path, list[np.ndarray]]:
 
 
 DRIVE = parameters(
-    fixed_frame="odom", mask__unknown_value=UNKNOWN, lights="[lamp, spot]", lights__lamp__position="[0.4, -0.7, 0.3]",
-    lights__lamp__range=2.4, lights__spot__type="spot", lights__spot__outer_angle=0.3, bias__constant=0.01,
-    bias__quadratic=2e-3,
+    fixed_frame="odom", mask__unknown_value=UNKNOWN, light_names="[lamp, spot]",
+    lights__lamp__position="[0.4, -0.7, 0.3]", lights__lamp__range=2.4, lights__spot__type="spot",
+    lights__spot__outer_angle=0.3, bias__constant=0.01, bias__quadratic=2e-3,
 )  # fmt: skip
 
 
@@ -353,6 +353,12 @@ def read_one(folder: Path, topic: str) -> Any:
         return reader.deserialize(next(reader.messages([connection]))[2], connection.msgtype)
 
 
+def test_the_former_name_of_the_list_of_lights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = run(still_life().write(tmp_path / "in"), tmp_path / "out.mcap", "--param", "lights:=[one, two]")
+    assert {"/shadow_tracer/mask/one", "/shadow_tracer/mask/two"} <= set(found)
+    assert "write light_names: [one, two]" in capsys.readouterr().err
+
+
 def test_names_are_those_of_the_node(tmp_path: Path) -> None:
     made = BagMaker()
     made.raw("/cam/room", MESH, encode_mesh(*plate()))
@@ -360,7 +366,7 @@ def test_names_are_those_of_the_node(tmp_path: Path) -> None:
     made.add("/front/depth", image(depth_image(0), SECOND))
     file = tmp_path / "parameters.yaml"
     file.write_text(
-        "/**:\n  ros__parameters:\n    lights: [sun]\n    lights.sun: {type: directional, direction: [1, 0, 3]}\n"
+        "/**:\n  ros__parameters:\n    light_names: [sun]\n    lights.sun: {type: directional, direction: [1, 0, 3]}\n"
     )
     names = ["--node", "/cam/shade", "--remap", "depth/image_rect:=/front/depth", "--remap", "mesh:=room"]
     options = [*names, "--remap", "~/mask:=/dark", "--params-file", str(file)]
@@ -407,7 +413,7 @@ def shorten(folder: Path) -> None:
         ("wrong type", [], "/mesh: expected shape_msgs/msg/Mesh, the bag has sensor_msgs/msg/CameraInfo"),
         ("", ["--param", "bias.constant:=-1"], "bias.constant: expected"),
         ("", ["--param", "bias.constant"], "--param: expected name:=value, got 'bias.constant'"),
-        ("", ["--param", "lights:=[lamp"], "--param lights: not YAML"),
+        ("", ["--param", "light_names:=[lamp"], "--param light_names: not YAML"),
         ("", ["--params-file", "none.yaml"], "--params-file: none.yaml cannot be read"),
         ("", ["--remap", "mesh"], "--remap: expected from:=to"),
         ("", ["--remap", "mesh:=depth/image_rect"], "--remap: two inputs have got the same topic"),

@@ -55,7 +55,7 @@ def test_node_knows_every_parameter_of_the_demo() -> None:
     values = parameters(sequence, "mesh_bvh", "", "auto")
     own = {name: value for name, value in values.items() if not name.startswith("qos_overrides.")}
     assert problems_in(own) == []
-    assert set(own) <= set(names_for(values["lights"]))
+    assert set(own) <= set(names_for(values["light_names"]))
 
 
 def test_parameter_file_is_yaml_of_the_same_values() -> None:
@@ -65,7 +65,7 @@ def test_parameter_file_is_yaml_of_the_same_values() -> None:
     assert read.keys() == values.keys()
     for name, value in values.items():
         assert read[name] == (
-            pytest.approx(value, abs=1e-8) if isinstance(value, (float, list)) and name != "lights" else value
+            pytest.approx(value, abs=1e-8) if isinstance(value, (float, list)) and name != "light_names" else value
         )
         assert type(read[name]) is type(value)
 

@@ -182,10 +182,10 @@ def uses(name: str) -> Callable[[Any], Any]:
 def test_a_file_names_only_parameters_that_there_are(name: str) -> None:
     values = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())["/**"]["ros__parameters"]
     assert parameters.problems_in(values) == []
-    lights = list(values["lights"])
+    lights = list(values["light_names"])
     assert parameters.unknown_names(values, parameters.names_for(lights), lights) == []
     changed = {key for key, value in values.items() if value != parameters.default_of(key)}
-    assert {"lights", "bias.constant"} & changed, "nothing differs from the defaults"
+    assert {"light_names", "bias.constant"} & changed, "nothing differs from the defaults"
 
 
 @pytest.mark.parametrize("name", USES)

@@ -121,7 +121,7 @@ def test_wrong_transitions_change_nothing(rig: Rig) -> None:
 def test_parameters_set_before_configuring_count(rig: Rig) -> None:
     """Also those that a running node takes over in its thread."""
     assert rig.set(pipeline="mesh_bvh", variant="rebuild") == ""
-    assert rig.set(verify_every=1, bias__constant=0.05, lights=["sky"]) == ""
+    assert rig.set(verify_every=1, bias__constant=0.05, light_names=["sky"]) == ""
     assert rig.set(lights__sky__type="directional") == ""
     assert change(rig, Transition.TRANSITION_CONFIGURE)
     rig.wait_status(DEVICE, OK, "mesh_bvh/rebuild on cpu")
@@ -144,7 +144,7 @@ def test_while_inactive_parameters_do_not_make_it_listen(rig: Rig, monkeypatch: 
     double, made = module()
     monkeypatch.setitem(sys.modules, "tf2_ros", double)
     assert change(rig, Transition.TRANSITION_CONFIGURE)
-    assert rig.set(fixed_frame="map", lights=["lamp", "other"], process="every") == ""
+    assert rig.set(fixed_frame="map", light_names=["lamp", "other"], process="every") == ""
     rig.settle(0.1)
     assert not made and not listening(rig)
     assert rig.friend.count_subscribers("/shadow_tracer/lights/other/pose") == 0

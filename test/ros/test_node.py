@@ -55,7 +55,7 @@ def test_masks_are_those_of_the_library() -> None:
         "mask.unknown_value": UNKNOWN,
         "pose_source": "parameter",
         "camera_pose": [0.3, -0.2, 0.1, 0.0, half, 0.0, half],
-        "lights": ["lamp", "spot", "sun"],
+        "light_names": ["lamp", "spot", "sun"],
         "lights.lamp.position": [0.4, -0.7, 0.3],
         "lights.lamp.range": 2.4,
         "lights.spot.type": "spot",
@@ -340,7 +340,7 @@ def test_a_stale_mesh_makes_the_mask_unknown() -> None:
 
 
 def test_without_a_light_the_mask_says_unknown(rig: Rig) -> None:
-    assert rig.set(lights=[""]) == ""
+    assert rig.set(light_names=[""]) == ""
     assert all_unknown(rig.trace(wall()))
     rig.wait_status(PROCESSING, WARN, "no light is enabled")
 

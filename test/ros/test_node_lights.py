@@ -26,7 +26,7 @@ HALF = math.sqrt(0.5)
 ALONG_Z = (0.0, -HALF, 0.0, HALF)  # a rotation that turns +x to +z
 THREE = {
     "mask.unknown_value": UNKNOWN,
-    "lights": ["lamp", "spot", "sky"],
+    "light_names": ["lamp", "spot", "sky"],
     "lights.spot.type": "spot",
     "lights.spot.outer_angle": 0.4,
     "lights.sky.type": "directional",
@@ -139,18 +139,18 @@ def test_lights_come_go_and_are_switched_live(rig: Rig, tracer: ShadowTracer) ->
     frame = expected(tracer, spot, sky)
     check(rig, frame)
     assert len(rig.masks["lamp"]) == count  # of a light that does not shine nothing is published
-    assert rig.set(lights=["lamp", "spot", "sky", "fill"], lights__lamp__enabled=True) == ""
+    assert rig.set(light_names=["lamp", "spot", "sky", "fill"], lights__lamp__enabled=True) == ""
     assert rig.set(lights__fill__position=[-0.5, 0.2, 0.1]) == ""
     fill = PointLight("fill", (-0.5, 0.2, 0.1))
     check(rig, expected(tracer, lamp, spot, sky, fill))
     place(rig, "fill", (-0.1, 0.2, 0.1))
     check(rig, expected(tracer, lamp, spot, sky, PointLight("fill", (-0.1, 0.2, 0.1))))
-    assert rig.set(lights=["sky"]) == ""
+    assert rig.set(light_names=["sky"]) == ""
     np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, sky).mask(unknown=UNKNOWN))
     topics = ("/shadow_tracer/mask/fill", "/shadow_tracer/mask/lamp")
     rig.until(lambda: not any(rig.friend.count_publishers(topic) for topic in topics), what="their topics go")
     rig.until(lambda: rig.friend.count_subscribers("/shadow_tracer/lights/fill/pose") == 0)
-    assert rig.set(lights=["sky", "fill"]) == ""  # as new: the topic's pose went with the light
+    assert rig.set(light_names=["sky", "fill"]) == ""  # as new: the topic's pose went with the light
     rig.masks.pop("fill")
     check(rig, expected(tracer, sky, PointLight("fill", (0.5, -0.5, 0.0))))
 
@@ -211,7 +211,7 @@ def test_the_sun_at_a_given_time_and_at_the_stamp_of_the_image() -> None:
 
 def test_at_night_it_is_dark_which_is_not_unknown() -> None:
     pytest.importorskip("ephem")
-    parameters = {**THREE, **EAST_NORTH_UP, **PLACE, "lights": ["lamp"], "mask.publish": "always"}
+    parameters = {**THREE, **EAST_NORTH_UP, **PLACE, "light_names": ["lamp"], "mask.publish": "always"}
     with Rig(parameters) as rig:
         bits = rig.collect(Image, "shadow_tracer/light_bits")
         rig.listen_to_light("lamp")
@@ -225,7 +225,7 @@ def test_at_night_it_is_dark_which_is_not_unknown() -> None:
         assert timing.status[0].level == OK
         rig.wait_status(PROCESSING, OK)
         # With another light beside it the sun is 0 everywhere, and the mask of all is that of the other.
-        assert rig.set(lights=["lamp", "sky"]) == ""
+        assert rig.set(light_names=["lamp", "sky"]) == ""
         assert rig.set(lights__sky__type="directional", lights__sky__direction=[0, 0, -1]) == ""
         rig.listen_to_light("sky")
         stamp = rig.send_frame(wall(), stamp=ns("2026-06-21T23:31:00Z"))
@@ -259,7 +259,7 @@ def test_a_sphere_casts_soft_shadows(tracer: ShadowTracer) -> None:
 
 def test_a_light_that_becomes_the_sun_leaves_the_pose_of_its_topic() -> None:
     pytest.importorskip("ephem")
-    with Rig({**THREE, **EAST_NORTH_UP, "lights": ["lamp"]}) as rig:
+    with Rig({**THREE, **EAST_NORTH_UP, "light_names": ["lamp"]}) as rig:
         rig.send_mesh(*below())
         place(rig, "lamp", (0.1, 0.2, 3.0), frame="elsewhere")
         assert all_unknown(rig.trace(wall()))
@@ -269,7 +269,7 @@ def test_a_light_that_becomes_the_sun_leaves_the_pose_of_its_topic() -> None:
 
 
 def test_a_sun_that_cannot_be_computed_is_unknown_and_says_what_helps(monkeypatch: pytest.MonkeyPatch) -> None:
-    with Rig({**THREE, **EAST_NORTH_UP, **PLACE, "lights": ["lamp"]}) as rig:
+    with Rig({**THREE, **EAST_NORTH_UP, **PLACE, "light_names": ["lamp"]}) as rig:
         monkeypatch.setitem(sys.modules, "ephem", None)
         assert all_unknown(rig.trace(wall(), stamp=ns(NOON)))
         rig.wait_status(PROCESSING, ERROR, "lights.lamp: the position of the sun needs ephem: pip install")
@@ -289,7 +289,7 @@ def test_light_bits_follow_the_parameter_lights(tracer: ShadowTracer, count: int
     """Bit i is light i of the parameter, whichever are disabled; more than 8 lights need 16 bits."""
     names = [f"l{k}" for k in range(count)]
     positions = [(0.5 - 0.1 * k, -0.5 + 0.05 * k, 0.0) for k in range(count)]
-    parameters: dict[str, Any] = {"lights": names}
+    parameters: dict[str, Any] = {"light_names": names}
     parameters |= {f"lights.{name}.position": list(where) for name, where in zip(names, positions, strict=True)}
     parameters |= {f"lights.{name}.enabled": k != 1 for k, name in enumerate(names)}
     with Rig(parameters) as rig:
@@ -309,7 +309,7 @@ def test_light_bits_follow_the_parameter_lights(tracer: ShadowTracer, count: int
 
 def test_more_lights_than_bits_have_masks_but_no_bits(tracer: ShadowTracer) -> None:
     names = [f"l{k}" for k in range(17)]
-    with Rig({"lights": names, "bounds.max_lights": 17, "mask.publish": "always"}) as rig:
+    with Rig({"light_names": names, "bounds.max_lights": 17, "mask.publish": "always"}) as rig:
         messages = rig.collect(Image, "shadow_tracer/light_bits")
         rig.send_mesh(*plate())
         frame = library_of(17).trace(wall(), camera(), [PointLight(n, (0.5, -0.5, 0.0)) for n in names], bias=BIAS)
@@ -359,7 +359,7 @@ def test_the_overlay_shows_what_is_known(rig: Rig) -> None:
         assert (msg.encoding, msg.step, msg.header.frame_id) == ("rgb8", 3 * WIDTH, "camera")
         return np.frombuffer(msg.data, np.uint8).reshape(HEIGHT, WIDTH, 3)
 
-    assert rig.set(lights=["lamp"], camera_info_policy="exact") == ""
+    assert rig.set(light_names=["lamp"], camera_info_policy="exact") == ""
     centre = (WIDTH - 1) / 2, (HEIGHT - 1) / 2
     first = shown()
     np.testing.assert_array_equal(first, overlay(wall(), rig.trace(wall()), FOCAL, FOCAL, *centre))

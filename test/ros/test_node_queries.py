@@ -22,7 +22,7 @@ from shadow_tracer.ros.messages import rigid
 LIGHTS = {
     "mask.unknown_value": UNKNOWN,
     "bias.constant": 0.01,
-    "lights": ["lamp", "spot", "off", "sky"],
+    "light_names": ["lamp", "spot", "off", "sky"],
     "lights.lamp.range": 2.5,
     "lights.spot.type": "spot",
     "lights.spot.outer_angle": 0.3,
@@ -163,7 +163,7 @@ def test_a_frame_that_is_missing_makes_the_answer_unknown(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"lights": [""]}, "no light is enabled"),
+        ({"light_names": [""]}, "no light is enabled"),
         ({"lights__lamp__frame": "tool", "fixed_frame": "map", "pose_source": "parameter"}, "tool"),
     ],
     ids=["lights", "frame of a light"],

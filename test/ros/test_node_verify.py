@@ -20,7 +20,7 @@ def timing_of(rig: Rig, number: int) -> dict[str, str]:
 
 
 def test_every_third_frame_is_verified() -> None:
-    with Rig({"verify_every": 3, "lights": ["lamp", "sky"], "lights.sky.type": "directional"}) as rig:
+    with Rig({"verify_every": 3, "light_names": ["lamp", "sky"], "lights.sky.type": "directional"}) as rig:
         masks = []
         for number in range(7):
             rig.send_mesh(*plate(x=0.05 * number))

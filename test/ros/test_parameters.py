@@ -14,6 +14,7 @@ import pytest
 
 from shadow_tracer import Bounds, DirectionalLight, PointLight, SpotLight
 from shadow_tracer.ros import parameters
+from shadow_tracer.ros.former_names import renamed
 from shadow_tracer.ros.parameters import ParameterError, problems_in, settings_from, unknown_names
 
 ROOT = Path(__file__).parents[2]
@@ -67,13 +68,13 @@ BAD = [
     ("depth_occluder.step", 1.5, "depth_occluder.step: expected integer"),
     ("depth_occluder.max_jump", 1.01, "depth_occluder.max_jump: expected double ("),
     ("camera_info_policy", "nearest", "camera_info_policy: expected string (auto, exact, latest)"),
-    ("lights", "lamp", "lights: expected string array"),
-    ("lights", ["lamp", "lamp"], "lights: expected different names"),
-    ("lights", ["my lamp"], "lights: expected names of letters, digits"),
-    ("lights", ["a__b"], "lights: expected names"),
-    ("lights", ["1st"], "lights: expected names"),
-    ("lights", [1, 2], "lights: expected string array"),
-    ("lights", [f"l{k}" for k in range(17)], "lights: expected at most bounds.max_lights = 16 names, got 17"),
+    ("light_names", "lamp", "light_names: expected string array"),
+    ("light_names", ["lamp", "lamp"], "light_names: expected different names"),
+    ("light_names", ["my lamp"], "light_names: expected names of letters, digits"),
+    ("light_names", ["a__b"], "light_names: expected names"),
+    ("light_names", ["1st"], "light_names: expected names"),
+    ("light_names", [1, 2], "light_names: expected string array"),
+    ("light_names", [f"l{k}" for k in range(17)], "light_names: expected at most bounds.max_lights = 16 names, got 17"),
     ("bias.constant", math.nan, "bias.constant: expected double (0 to 10 m), got nan"),
     ("bias.constant", True, "bias.constant: expected double (0 to 10 m), got True"),
     ("bias.constant", "0.1", "bias.constant: expected double (0 to 10 m), got '0.1'"),
@@ -144,7 +145,7 @@ def test_integers_are_accepted_for_doubles() -> None:
 
 @pytest.mark.parametrize("empty", [[], [""], ()])
 def test_no_lights(empty: Any) -> None:
-    assert settings_from({"lights": empty}).lights == ()
+    assert settings_from({"light_names": empty}).lights == ()
 
 
 def test_lights_become_lights_of_the_library() -> None:
@@ -152,7 +153,7 @@ def test_lights_become_lights_of_the_library() -> None:
     pose[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     pose[:3, 3] = (10, 0, 0)
     values = {
-        "lights": ["p", "s", "d"],
+        "light_names": ["p", "s", "d"],
         "lights.s.type": "spot",
         "lights.d.type": "directional",
         "lights.p.range": 3.0,
@@ -191,7 +192,7 @@ def test_tf_is_only_listened_to_when_needed(values: dict[str, Any], needed: bool
         ("bias.constnt", "did you mean bias.constant?"),
         ("biasconstant", "did you mean bias.constant?"),
         ("lights.lamp.postion", "did you mean lights.lamp.position?"),
-        ("lights.lmap.position", "'lmap' is not in lights ['lamp']"),
+        ("lights.lmap.position", "'lmap' is not in light_names ['lamp']"),
         ("camera_info_polcy", "did you mean camera_info_policy?"),
         ("xyzzy", "see the parameter table"),
     ],
@@ -199,6 +200,32 @@ def test_tf_is_only_listened_to_when_needed(values: dict[str, Any], needed: bool
 def test_misspelt_names_get_the_nearest_known_one(name: str, hint: str) -> None:
     warnings = unknown_names([name, "bias.constant"], parameters.names_for(["lamp"]), ["lamp"])
     assert len(warnings) == 1 and warnings[0].startswith(name) and hint in warnings[0]
+
+
+def test_no_parameter_is_a_prefix_of_another_at_a_dot() -> None:
+    """`ros2 param dump` and nested YAML make groups of what stands before a dot: a value cannot be a group too."""
+    names = [*parameters.names_for(["lamp", "l2"]), "use_sim_time"]
+    assert len(set(names)) == len(names)
+    assert [(a, b) for a in names for b in names if b.startswith(f"{a}.")] == []
+
+
+@pytest.mark.parametrize("value", [["a", "b"], ("a",), [], [""]], ids=str)
+def test_the_former_name_of_the_list_of_lights_is_taken_with_a_warning(value: Any) -> None:
+    values, warnings = renamed({"tf_timeout": 0.1, "lights": value, "lights.a.type": "spot"})
+    assert list(values.items()) == [("tf_timeout", 0.1), ("light_names", value), ("lights.a.type", "spot")]
+    assert len(warnings) == 1
+    written = warnings[0].partition("write ")[2].partition(" (")[0]
+    yaml = pytest.importorskip("yaml")
+    assert yaml.safe_load(written) == {"light_names": list(value)}
+    assert [light.name for light in settings_from(values).lights] == [name for name in value if name]
+
+
+def test_both_names_of_the_list_of_lights() -> None:
+    assert renamed({"light_names": ["a"], "lights": ("a",)})[0] == {"light_names": ("a",)}
+    with pytest.raises(ParameterError, match=r"lights: expected only light_names.*got \[b\] beside light_names: \[a\]"):
+        renamed({"light_names": ["a"], "lights": ["b"]})
+    with pytest.raises(ParameterError, match="light_names: expected string array .*got 'lamp'"):
+        settings_from(renamed({"lights": "lamp"})[0])
 
 
 def test_default_yaml_is_the_table() -> None:

@@ -138,7 +138,7 @@ def test_masks_over_real_topics_and_a_malformed_request() -> None:
         )
         # A parameter of a type that does not exist raises inside rclpy's own service.
         client.call_async(
-            SetParameters.Request(parameters=[ParameterMsg(name="lights", value=ParameterValue(type=77))])
+            SetParameters.Request(parameters=[ParameterMsg(name="light_names", value=ParameterValue(type=77))])
         )
         rig.wait_status(PROCESSING, ERROR, "77")
         np.testing.assert_array_equal(rig.trace(wall()), mask)
