@@ -14,6 +14,8 @@ import weakref
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
+from shadow_tracer.gpu.kernel_cache import mending
+
 _Result = TypeVar("_Result")
 
 
@@ -61,6 +63,7 @@ class Seat:
         """Do ``frame`` while nobody else does one here, nor on the whole device if it may be recorded or loads kernels.
 
         Args:
+            frame: done again from its start if a module of kernels had to be compiled again (:mod:`kernel_cache`).
             needs: kernels that it launches; it has to add them to ``loaded``.
 
         Raises:
@@ -76,9 +79,9 @@ class Seat:
             raise RuntimeError("a frame is under way in this thread: it cannot begin another one before it has ended")
         if not self._records and self._room.loaded.issuperset(needs):
             with self.lock:
-                return frame()
+                return mending(frame)
         with self._room.several:
-            return _holding(self._room.locks(), frame)
+            return _holding(self._room.locks(), lambda: mending(frame))
 
 
 def _holding(locks: Sequence[Any], frame: Callable[[], _Result]) -> _Result:

@@ -18,6 +18,7 @@ from shadow_tracer.ros.answer import Answer
 from shadow_tracer.ros.frames import Frames, Tf2
 from shadow_tracer.ros.health import DeviceState, Health
 from shadow_tracer.ros.inputs import Inputs
+from shadow_tracer.ros.log_bridge import LogBridge
 from shadow_tracer.ros.outputs import Outputs
 from shadow_tracer.ros.parameter_server import ParameterServer
 from shadow_tracer.ros.processing import Processor
@@ -69,6 +70,7 @@ class Core:
         backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self._jumps = node.get_clock().create_jump_callback(backward, post_callback=self.guarded(self._on_jump))
         self._warned = False
+        self._log = LogBridge(node.get_logger())
         self.outputs.configure(server.settings)
 
     @property
@@ -114,6 +116,7 @@ class Core:
     def close(self, timeout: float) -> bool:
         """Before the node is destroyed. False if the tracer's thread is still compiling after ``timeout`` seconds."""
         self._jumps.unregister()
+        self._log.close()
         return self.host.join(timeout)
 
     def now_ns(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gc
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -112,6 +113,24 @@ def test_a_missing_warp_is_explained(tmp_path: Path) -> None:
         code, errors = process.wait()
         text = "".join(process.out) + errors
         assert code == 1 and "pip install 'warp-lang" in text and "Traceback" not in text
+
+
+def test_a_damaged_kernel_cache_is_mended_and_logged(tmp_path: Path) -> None:
+    """In the log of the node, not by Python on stderr, where LLVM alone says that it could not read the file."""
+    import warp as wp
+
+    ShadowTracer(device="cpu", bounds=Bounds(max_triangles=10, max_rays=10)).warm_up()
+    shutil.copytree(wp.config.kernel_cache_dir, tmp_path / wp.__version__)
+    files = list(tmp_path.glob("*/wp_shadow_tracer.gpu.shadow_test_*/*.o"))
+    assert files
+    for file in files:
+        os.truncate(file, 1000)
+    with NodeProcess(environment={"WARP_CACHE_PATH": str(tmp_path)}) as process:
+        process.wait_for("Ready: light_grid/packed on cpu")
+        code, errors = process.stop(signal.SIGTERM)
+    assert code == 0 and "kernel cache" not in errors
+    (said,) = [line for line in process.out if "kernel cache: " in line]
+    assert "[WARN]" in said and f"{files[0].parent.name} was damaged and has been removed" in said
 
 
 def test_masks_over_real_topics_and_a_malformed_request() -> None:
