@@ -13,6 +13,8 @@ import threading
 from collections.abc import Sequence
 from types import FrameType
 
+from shadow_tracer.ros.command_line import answer
+
 _STOP = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -26,9 +28,10 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.came = False
-        self._handled = []
-        if threading.current_thread() is threading.main_thread():  # signals belong to it, and to whoever runs there
-            self._handled = [number for number in _STOP if signal.getsignal(number) is not signal.SIG_IGN]
+        # Signals belong to the main thread, and to whoever runs there. Handled as well if the parent ignores them: a
+        # script's shell starts what is to run in the background with SIGINT ignored, and could not end it politely.
+        here = threading.current_thread() is threading.main_thread()
+        self._handled = _STOP if here else ()
         for number in self._handled:
             signal.signal(number, self._note)
 
@@ -42,10 +45,11 @@ class StopRequest:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node. Returns the exit code: 0 after SIGINT or SIGTERM at any time, 1 if it could not start.
+    """Run the node. Returns the exit code: 0 after SIGINT or SIGTERM at any time and after ``--help``, 1 if it could
+    not start, 2 for an argument that nobody would read.
 
     Args:
-        args: command line, ROS arguments included; ``sys.argv`` if None.
+        args: command line without the program, ROS arguments included; that of the process if None.
     """
     return _run(args, managed=False)
 
@@ -56,6 +60,10 @@ def lifecycle_main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(args: Sequence[str] | None, managed: bool) -> int:
+    arguments = list(sys.argv[1:] if args is None else args)
+    code = answer("shadow_lifecycle_node" if managed else "shadow_node", arguments)
+    if code is not None:
+        return code
     request = StopRequest()
     # Log lines go to stdout unless the environment says otherwise, so that anything on stderr means trouble.
     os.environ.setdefault("RCUTILS_LOGGING_USE_STDOUT", "1")
@@ -69,7 +77,7 @@ def _run(args: Sequence[str] | None, managed: bool) -> int:
     node: ShadowNodeMixin | None = None
     code, joined = 0, True
     try:
-        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         if managed:
             from shadow_tracer.ros.lifecycle_node import ShadowLifecycleNode
 
