@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Generator
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -14,19 +12,10 @@ from std_srvs.srv import Trigger
 
 from shadow_tracer.ros.diagnostics import ERROR, OK
 from shadow_tracer.ros.tracer_host import Outcome
+from shadow_tracer.ros.turns import Turn
 
 if TYPE_CHECKING:
     from shadow_tracer.ros.core import Core
-
-_BREATH = 0.002  # rclpy resumes a waiting coroutine at every turn of the executor; this keeps the turns from spinning
-
-
-class _Turn:
-    """Awaited, lets the executor do its other work once."""
-
-    def __await__(self) -> Generator[None, None, None]:
-        time.sleep(_BREATH)
-        yield
 
 
 class Services:
@@ -35,9 +24,7 @@ class Services:
     def __init__(self, core: Core) -> None:
         self._core = core
         core.node.create_service(Trigger, "~/clear_meshes", self._clear_meshes)
-        # In a group of its own: a coroutine that waits keeps everything else of its group from being executed.
-        group = ReentrantCallbackGroup()
-        core.node.create_service(SelfTest, "~/self_test", self._self_test, callback_group=group)
+        core.node.create_service(SelfTest, "~/self_test", self._self_test, callback_group=ReentrantCallbackGroup())
 
     def _clear_meshes(self, _request: Any, response: Any) -> Any:
         try:
@@ -57,7 +44,7 @@ class Services:
         else:
             self._core.host.self_test(outcomes.append)
         while not outcomes and self._core.node.context.ok():
-            await _Turn()
+            await Turn()
         response.id = self._core.label
         if not outcomes:
             return response
