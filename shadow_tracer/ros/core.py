@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 
@@ -67,9 +67,10 @@ class Core:
         self._retry.cancel()
         self._matching = self._timer(_MATCH_PERIOD, self.inputs.match)
         self._reporting = self._timer(server.settings.diagnostics_period, self._report)
-        backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
+        backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         self._jumps = node.get_clock().create_jump_callback(backward, post_callback=self.guarded(self._on_jump))
         self._warned = False
+        self._clockless = False
         self._log = LogBridge(node.get_logger())
         self.outputs.configure(server.settings)
 
@@ -178,6 +179,9 @@ class Core:
             self.node.get_logger().warning(text)
 
     def _on_jump(self, jump: Any) -> None:
+        if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
+            self._forget("use_sim_time has changed")
+            return
         self._forget(f"time jumped back by {-jump.delta.nanoseconds * 1e-9:.1f} s")
 
     def _forget(self, why: str) -> None:
@@ -242,10 +246,14 @@ class Core:
         image = answer.frame.image
         stages = answer.stages | self.outputs.publish(answer, settings)
         total = (time.monotonic() - answer.frame.arrived) * 1e3
-        latency = (self.now_ns() - answer.frame.stamp) * 1e-6
+        latency = diagnostics.age_ms(answer.frame.stamp, self.now_ns())
         self.health.note(answer, total, latency, time.monotonic())
         stages["total"] = total
-        numbers = {"age at publication [ms]": f"{latency:.1f}", "width": image.width, "height": image.height}
+        numbers = {
+            "age at publication [ms]": "-" if latency is None else f"{latency:.1f}",
+            "width": image.width,
+            "height": image.height,
+        }
         numbers |= answer.numbers
         numbers |= {"dropped": self.inputs.queue.dropped, "skipped before the node": self.inputs.losses.skipped}
         device = self.health.device.name
@@ -257,6 +265,9 @@ class Core:
 
     def _report(self) -> None:
         clock = self.node.get_clock().now()
+        if self._clockless and clock.nanoseconds:  # the first /clock: what came before has no age
+            self.inputs.meshes.store.restart_age(clock.nanoseconds)
+        self._clockless = not clock.nanoseconds
         doing = (self.host.doing, self.host.busy_for()) if self.host.busy else None
         array = self.health.report(self.settings, doing, time.monotonic(), clock.nanoseconds, clock.to_msg())
         self.outputs.diagnostics.publish(array)

@@ -112,6 +112,17 @@ class Window:
         return f"{values.mean():.1f} / {np.percentile(values, 95):.1f} / {values.max():.1f}"
 
 
+def age_ms(stamp: int, now_ns: int) -> float | None:
+    """How old something with a stamp is [ms], 0 if the stamp is ahead of the clock; None while the clock stands at 0:
+    use_sim_time is set and no /clock has come.
+
+    Args:
+        stamp: its stamp [ns].
+        now_ns: time of the node's clock [ns].
+    """
+    return max(now_ns - stamp, 0) * 1e-6 if now_ns else None
+
+
 def status(name: str, level: bytes, text: str, values: Mapping[str, Any], hardware_id: str) -> DiagnosticStatus:
     """A DiagnosticStatus; values are written with ``str``."""
     from diagnostic_msgs.msg import DiagnosticStatus, KeyValue

@@ -37,6 +37,11 @@ _BUSY_WORDS = {
     "self-test": "self test for {:.0f} s: every pipeline traces a built-in scene, kernels are compiled the first time",
 }
 
+_NO_CLOCK = (
+    "use_sim_time is true and no /clock comes: start the simulator or `ros2 bag play --clock`, or set use_sim_time to "
+    "false; ages, lifetimes and tf need the time"
+)
+
 Doing = tuple[str, float] | None
 
 
@@ -83,12 +88,12 @@ class Health:
     _total: Window = field(default_factory=Window)
     _latency: Window = field(default_factory=Window)
 
-    def note(self, answer: Answer, total: float, latency: float, now: float) -> None:
+    def note(self, answer: Answer, total: float, latency: float | None, now: float) -> None:
         """Take over the outcome of a frame.
 
         Args:
             total: its time in the node [ms].
-            latency: its age at publication [ms].
+            latency: its age at publication [ms]; None if there is no time.
             now: steady time [s].
         """
         self._missing = answer.missing
@@ -103,7 +108,8 @@ class Health:
             self._overflow.add(f"{passes} further passes", now)
         self._busy.add(total - answer.stages.get("wait", 0.0))
         self._total.add(total)
-        self._latency.add(latency)
+        if latency is not None:
+            self._latency.add(latency)
 
     def report(self, settings: Settings, doing: Doing, now: float, now_ns: int, stamp: Any) -> DiagnosticArray:
         """The message of ``/diagnostics``.
@@ -119,7 +125,7 @@ class Health:
             MESH: judge_mesh(self.inputs, settings, now, now_ns),
             TRANSFORMS: self._judge_transforms(settings, now),
             DEVICE: self._judge_device(doing),
-            PROCESSING: self._judge_processing(settings, doing, now),
+            PROCESSING: self._judge_processing(settings, doing, now, now_ns),
         }
         array = DiagnosticArray(status=[self._status(name, *verdict) for name, verdict in verdicts.items()])
         array.header.stamp = stamp
@@ -178,7 +184,7 @@ class Health:
             return OK, "no tracer yet: configure the node", values
         return OK, f"{device.pipeline}/{device.variant} on {device.name}", values
 
-    def _judge_processing(self, settings: Settings, doing: Doing, now: float) -> Verdict:
+    def _judge_processing(self, settings: Settings, doing: Doing, now: float, now_ns: int) -> Verdict:
         queue, queries, processor = self.inputs.queue, self.queries, self.processor
         dropped, self._dropped = queue.dropped - self._dropped, queue.dropped
         if dropped and settings.process == "every":
@@ -211,6 +217,8 @@ class Health:
         if doing is not None:
             what = "starting up" if doing[0] == "start" else doing[0]
             return OK, f"{what}: frames wait until kernels are ready", values
+        if not now_ns:
+            return WARN, _NO_CLOCK, values
         if self._missing is not None:
             return WARN, f"the last mask says unknown, see {self._missing.status!r}: {self._missing.text}", values
         if queries.missing is not None:

@@ -117,6 +117,53 @@ def test_sim_time_that_jumps_back_clears_what_is_old() -> None:
         assert rig.value(PROCESSING, "faults") == "0"
 
 
+def printed(rig: Rig) -> list[str]:
+    """All values of the last diagnostics and of the last timing."""
+    arrays = [rig.reports[-1], rig.timings[-1]]
+    return [pair.value for array in arrays for status in array.status for pair in status.values]
+
+
+def test_use_sim_time_without_a_clock_is_noticed() -> None:
+    """With the cure, with no age that nobody knows, and what came before the first /clock is not old after it."""
+    with Rig({"use_sim_time": True, "mask.unknown_value": UNKNOWN, "mesh.max_age": 5.0}) as rig:
+        status = rig.wait_status(PROCESSING, WARN, "use_sim_time is true and no /clock comes")
+        assert "--clock" in status.message[:120]
+        rig.send_mesh(*plate())
+        assert shadow_size(rig.trace(wall()))
+        rig.until(lambda: rig.value(PROCESSING, "traced") == "1")
+        assert rig.value(PROCESSING, "age at publication, mean / 95 % / max [ms]") == "-"
+        pairs = {pair.key: pair.value for pair in rig.timings[-1].status[0].values}
+        assert pairs["age at publication [ms]"] == "-"
+        assert not [value for value in printed(rig) if value.startswith("-") and value != "-"]
+        rig.publish_clock(1000.0)
+        rig.wait_status(PROCESSING, OK, "1 frames traced")
+        assert shadow_size(rig.trace(wall()))
+        assert float(rig.value(MESH, "age [s]")) < 5.0
+
+
+def test_images_ahead_of_the_clock_have_no_negative_age() -> None:
+    with Rig({"use_sim_time": True}) as rig:
+        rig.publish_clock(10.0)
+        rig.wait_status(PROCESSING, OK, "ready")
+        rig.trace(wall(), stamp=int(11e9))
+        rig.until(lambda: rig.value(PROCESSING, "traced") == "1")
+        rig.until(lambda: rig.timings)
+        assert rig.value(PROCESSING, "age at publication, mean / 95 % / max [ms]") == "0.0 / 0.0 / 0.0"
+        assert not [value for value in printed(rig) if value.startswith("-") and value != "-"]
+
+
+def test_a_change_of_use_sim_time_is_a_jump(rig: Rig) -> None:
+    """From the time of the machine to that of a simulation: ages start again, none is negative."""
+    rig.send_mesh(*plate())
+    assert rig.set(use_sim_time=True) == ""
+    rig.publish_clock(50.0)
+    rig.until(lambda: rig.value(MESH, "age [s]").startswith("0.0"), what="ages start again")
+    rig.wait_status(PROCESSING, OK)
+    assert shadow_size(rig.trace(wall()))
+    rig.until(lambda: rig.timings)
+    assert not [value for value in printed(rig) if value.startswith("-") and value != "-"]
+
+
 def test_images_that_start_again_earlier_are_a_time_jump(rig: Rig) -> None:
     first = rig.stamp
     rig.trace(wall(), stamp=rig.next_stamp(60 * 10**9))
