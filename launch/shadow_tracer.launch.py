@@ -7,12 +7,19 @@ r"""Starts the node. `ros2 launch shadow_tracer shadow_tracer.launch.py --show-a
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
+from typing import Any
 
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import Action, LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
+from launch.events import matches_action
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
+from launch_ros.event_handlers import OnStateTransition
+from launch_ros.events.lifecycle import ChangeState
+from lifecycle_msgs.msg import Transition
 
 PACKAGE = "shadow_tracer"
 # Beside the folder of this file, in the source tree as where it is installed.
@@ -92,6 +99,41 @@ def remappings(values: dict[str, str]) -> list[tuple[str, str]]:
     return [(name, topic) for name, topic in wanted.items() if name != topic]
 
 
+def check_rviz() -> None:
+    """RViz is there: a launch that fails at it would leave the node that it has started before.
+
+    Raises:
+        RuntimeError: it is not installed.
+    """
+    try:
+        get_package_prefix("rviz2")
+    except PackageNotFoundError as error:
+        raise RuntimeError(
+            "rviz:=true: the package rviz2 is not installed: `sudo apt install ros-jazzy-rviz2`, or leave rviz out"
+        ) from error
+
+
+def managed_node(autostart: bool, common: dict[str, Any]) -> list[Action]:
+    """The managed node and what brings it up. launch_ros before 0.26.7 (April 2025) has no keyword for that."""
+    common = {**common, "executable": "shadow_lifecycle_node"}
+    if not autostart:
+        return [LifecycleNode(**common)]
+    if "autostart" in inspect.signature(LifecycleNode.__init__).parameters:
+        return [LifecycleNode(autostart=True, **common)]
+    node = LifecycleNode(**common)
+
+    def change(transition: int) -> Action:
+        return EmitEvent(event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition))
+
+    activate = OnStateTransition(
+        target_lifecycle_node=node,
+        start_state="configuring",
+        goal_state="inactive",
+        entities=[change(Transition.TRANSITION_ACTIVATE)],
+    )
+    return [RegisterEventHandler(activate), node, change(Transition.TRANSITION_CONFIGURE)]
+
+
 def start(context: LaunchContext) -> list[Action]:
     """The node and, if wanted, RViz, with the arguments as they came."""
     values = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
@@ -108,13 +150,14 @@ def start(context: LaunchContext) -> list[Action]:
     }
     if "large_images" in yes:
         common["additional_env"] = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(CONFIG / "fastdds_large_images.xml")}
+    if "rviz" in yes:
+        check_rviz()
     if "lifecycle" in yes:
-        # The keyword autostart is there since launch_ros 0.26.7 (April 2025).
-        node = LifecycleNode(executable="shadow_lifecycle_node", autostart="autostart" in yes, **common)
+        actions = managed_node("autostart" in yes, common)
     else:
-        node = Node(executable="shadow_node", **common)
+        actions = [Node(executable="shadow_node", **common)]
     if "rviz" not in yes:
-        return [node]
+        return actions
     own = [(f"{PACKAGE}/{topic}", f"{values['name']}/{topic}") for topic in ("mask", "overlay", "camera_info")]
     rviz = Node(
         package="rviz2",
@@ -124,7 +167,7 @@ def start(context: LaunchContext) -> list[Action]:
         parameters=clock,
         remappings=[*common["remappings"], *(own if values["name"] != PACKAGE else [])],
     )
-    return [node, rviz]
+    return [*actions, rviz]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -160,29 +160,94 @@ class LifecycleNode(Node):
         self.autostart = autostart
 
 
-def modules() -> dict[str, ModuleType]:
-    """Modules to put into sys.modules."""
-    contents = {
+class OldLifecycleNode(Node):
+    """As it is before launch_ros 0.26.7: the keyword goes on to Node, which does not know it."""
+
+    def __init__(self, *, name: str, namespace: str, **kwargs: Any) -> None:
+        super().__init__(name=name, namespace=namespace, **kwargs)
+        self.autostart = False
+
+
+class ChangeState:
+    """The event that asks a managed node for a transition."""
+
+    def __init__(self, *, lifecycle_node_matcher: Callable[[Action], bool], transition_id: int) -> None:
+        self.lifecycle_node_matcher, self.transition_id = lifecycle_node_matcher, transition_id
+
+
+class EmitEvent(Action):
+    """Emits an event."""
+
+    def __init__(self, *, event: ChangeState) -> None:
+        self.event = event
+
+
+class OnStateTransition:
+    """What is done when a managed node has changed its state."""
+
+    def __init__(
+        self,
+        *,
+        entities: list[Action],
+        target_lifecycle_node: Node | None = None,
+        transition: str | None = None,
+        start_state: str | None = None,
+        goal_state: str | None = None,
+    ) -> None:
+        assert not (transition and (start_state or goal_state))
+        self.entities, self.target_lifecycle_node = entities, target_lifecycle_node
+        self.start_state, self.goal_state = start_state, goal_state
+
+
+class RegisterEventHandler(Action):
+    """Sets a handler up."""
+
+    def __init__(self, event_handler: OnStateTransition) -> None:
+        self.event_handler = event_handler
+
+
+def matches_action(target_action: Action) -> Callable[[Action], bool]:
+    """A matcher of one action."""
+    return lambda action: action is target_action
+
+
+def modules(old: bool = False) -> dict[str, ModuleType]:
+    """Modules to put into sys.modules.
+
+    Args:
+        old: those before launch_ros 0.26.7.
+    """
+    contents: dict[str, tuple[Any, ...]] = {
         "launch": (Action, LaunchContext, LaunchDescription),
-        "launch.actions": (DeclareLaunchArgument, OpaqueFunction),
+        "launch.actions": (DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler),
+        "launch.events": (matches_action,),
         "launch.substitutions": (LaunchConfiguration,),
         "launch_ros": (),
         "launch_ros.actions": (LifecycleNode, Node),
+        "launch_ros.event_handlers": (OnStateTransition,),
+        "launch_ros.events": (),
+        "launch_ros.events.lifecycle": (ChangeState,),
     }
     made = {name: ModuleType(name) for name in contents}
     for name, items in contents.items():
         vars(made[name]).update({item.__name__: item for item in items})
+    if old:
+        vars(made["launch_ros.actions"])["LifecycleNode"] = OldLifecycleNode
     return made
 
 
 def run(description: LaunchDescription, **arguments: str) -> list[Node]:
     """Do what a launch with these arguments does, and return the processes it would start."""
+    return [action for action in actions(description, **arguments) if isinstance(action, Node)]
+
+
+def actions(description: LaunchDescription, **arguments: str) -> list[Action]:
+    """The same, and return all that is done, in order."""
     context = LaunchContext()
     context.launch_configurations.update(arguments)
-    waiting, nodes = list(description.entities), []
+    waiting, done = list(description.entities), []
     while waiting:
         action = waiting.pop(0)
         waiting[:0] = action.execute(context) or []
-        if isinstance(action, Node):
-            nodes.append(action)
-    return nodes
+        done.append(action)
+    return done

@@ -122,6 +122,40 @@ def test_the_managed_node(description: Any, autostart: bool) -> None:
     assert node.autostart == autostart
 
 
+@pytest.mark.parametrize("autostart", [True, False])
+def test_the_managed_node_with_an_older_launch_ros(monkeypatch: pytest.MonkeyPatch, autostart: bool) -> None:
+    """Before 0.26.7: configured once its process is started, activated when it is inactive."""
+    for name, module in launch_double.modules(old=True).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    description = runpy.run_path(str(FILE))["generate_launch_description"]()
+    done = launch_double.actions(description, lifecycle="true", autostart=str(autostart).lower())
+    done = [a for a in done if not isinstance(a, (launch_double.DeclareLaunchArgument, launch_double.OpaqueFunction))]
+    if not autostart:
+        assert [type(action) for action in done] == [launch_double.OldLifecycleNode]
+        return
+    handler, node, configure = done
+    assert isinstance(handler, launch_double.RegisterEventHandler) and isinstance(node, launch_double.OldLifecycleNode)
+    assert isinstance(configure, launch_double.EmitEvent) and node.executable == "shadow_lifecycle_node"
+    assert configure.event.transition_id == 1 and configure.event.lifecycle_node_matcher(node)
+    waits = handler.event_handler
+    assert waits.target_lifecycle_node is node and (waits.start_state, waits.goal_state) == ("configuring", "inactive")
+    (activate,) = waits.entities
+    assert isinstance(activate, launch_double.EmitEvent)
+    assert activate.event.transition_id == 3 and activate.event.lifecycle_node_matcher(node)
+
+
+def test_without_rviz_nothing_is_started(description: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A launch that fails at its second process would leave the first one."""
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    started = []
+    monkeypatch.setattr(launch_double.Node, "execute", lambda self, _context: started.append(self))
+    with pytest.raises(RuntimeError, match=r"^rviz:=true: the package rviz2 is not installed: `sudo apt install"):
+        launch_double.run(description, rviz="true")
+    assert not started
+    launch_double.run(description)
+    assert len(started) == 1
+
+
 @pytest.mark.parametrize(
     ("argument", "value"),
     [("rviz", "yes"), ("large_images", "1"), ("lifecycle", ""), ("log_level", "loud"), ("use_sim_time", "True")],
@@ -137,6 +171,16 @@ def test_the_executables_are_among_our_scripts(description: Any) -> None:
         assert launch_double.run(description, lifecycle=lifecycle)[0].executable in scripts
 
 
+@pytest.fixture
+def rviz2(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The index of an installation with RViz."""
+    index = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    index.mkdir(parents=True)
+    (index / "rviz2").touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+
+
+@pytest.mark.usefixtures("rviz2")
 def test_rviz_shows_the_topics_of_this_node(description: Any) -> None:
     arguments = {"namespace": "front", "name": "shadows", "depth_image": "/camera/depth/image", "rviz_frame": "odom"}
     _, rviz = launch_double.run(description, rviz="true", use_sim_time="true", **arguments)
@@ -150,6 +194,7 @@ def test_rviz_shows_the_topics_of_this_node(description: Any) -> None:
     assert topics_of_rviz() >= set(rules) - {"mesh", "shadow_tracer/camera_info"}
 
 
+@pytest.mark.usefixtures("rviz2")
 def test_rviz_needs_no_rule_for_the_names_of_the_node(description: Any) -> None:
     _, rviz = launch_double.run(description, rviz="true")
     assert rviz.remappings == []
