@@ -22,7 +22,7 @@ example:
   {program} --ros-args --params-file my.yaml -r depth/image_rect:=/camera/depth/image_rect \\
       -r depth/camera_info:=/camera/depth/camera_info
 
-Topics, parameters and exit codes: docs/node.md. If nothing comes out: docs/troubleshooting.md."""
+Topics, parameters and exit codes: docs/node.md. If nothing comes out: shadow_tracer status."""
 
 _WHAT = {
     "shadow_node": "Finds which pixels of a depth image each light reaches, and publishes masks.",

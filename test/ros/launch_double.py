@@ -4,8 +4,10 @@ signatures and checks of Jazzy. A keyword that Jazzy does not know is a TypeErro
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -211,6 +213,24 @@ def matches_action(target_action: Action) -> Callable[[Action], bool]:
     return lambda action: action is target_action
 
 
+class Transition:
+    """lifecycle_msgs/msg/Transition, for machines without ROS."""
+
+    TRANSITION_CONFIGURE, TRANSITION_ACTIVATE = 1, 3
+
+
+class PackageNotFoundError(KeyError):
+    """No such package in the index."""
+
+
+def get_package_prefix(package_name: str) -> str:
+    """Where a package is installed, as ament_index_python looks it up."""
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        if Path(prefix, "share", "ament_index", "resource_index", "packages", package_name).is_file():
+            return prefix
+    raise PackageNotFoundError(package_name)
+
+
 def modules(old: bool = False) -> dict[str, ModuleType]:
     """Modules to put into sys.modules.
 
@@ -227,6 +247,10 @@ def modules(old: bool = False) -> dict[str, ModuleType]:
         "launch_ros.event_handlers": (OnStateTransition,),
         "launch_ros.events": (),
         "launch_ros.events.lifecycle": (ChangeState,),
+        "ament_index_python": (),
+        "ament_index_python.packages": (PackageNotFoundError, get_package_prefix),
+        "lifecycle_msgs": (),
+        "lifecycle_msgs.msg": (Transition,),
     }
     made = {name: ModuleType(name) for name in contents}
     for name, items in contents.items():
