@@ -87,14 +87,14 @@ def _is_json(path: Path) -> bool:
 def _remove(folder: Path, error: Exception) -> None:
     cure = f"delete {folder} and start again, or set WARP_CACHE_PATH to another folder"
     if folder in _removed:
-        raise RuntimeError(f"kernel cache: {cure}; its files cannot be loaded: {error}") from error
+        raise RuntimeError(f"kernel cache: {folder} cannot be loaded: {error}; {cure}") from error
     aside = folder.with_name(f"{folder.name}.damaged.{os.getpid()}")  # by one step: other processes use the cache too
     try:
         os.rename(folder, aside)
     except FileNotFoundError:
         pass  # another process was faster
     except OSError as refused:
-        text = f"kernel cache: {cure}; its files cannot be loaded ({error}) and not be removed ({refused})"
+        text = f"kernel cache: {folder} cannot be loaded ({error}) and not be removed ({refused}); {cure}"
         raise RuntimeError(text) from error
     shutil.rmtree(aside, ignore_errors=True)
     _removed.add(folder)

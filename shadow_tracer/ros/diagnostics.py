@@ -28,6 +28,15 @@ def cut(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 80]} ... {text[-70:]}"
 
 
+READ_FIRST = 120  # characters of a message that `ros2 topic echo` and most viewers show
+
+
+def cure_first(text: str) -> str:
+    """A message ``what is wrong; what helps`` so that what helps, after the last ``;``, is among what is read first."""
+    wrong, _, cure = text.rpartition("; ")
+    return f"{cure} - {wrong}" if wrong and len(text) > READ_FIRST else text
+
+
 class Missing(Exception):
     """Something a frame needs is not there: its mask says unknown.
 

@@ -38,8 +38,8 @@ _BUSY_WORDS = {
 }
 
 _NO_CLOCK = (
-    "use_sim_time is true and no /clock comes: start the simulator or `ros2 bag play --clock`, or set use_sim_time to "
-    "false; ages, lifetimes and tf need the time"
+    "use_sim_time is true and no /clock comes: ages, lifetimes and tf have no time; start the simulator or "
+    "`ros2 bag play --clock`, or set use_sim_time to false"
 )
 
 Doing = tuple[str, float] | None
@@ -135,7 +135,7 @@ class Health:
         missing = self._missing or self.queries.missing
         if missing is not None and missing.status == name and level <= missing.level:
             level, text = missing.level, missing.text
-        return diagnostics.status(f"{self.node}: {name}", level, text, values, self.node)
+        return diagnostics.status(f"{self.node}: {name}", level, diagnostics.cure_first(text), values, self.node)
 
     def _judge_transforms(self, settings: Settings, now: float) -> Verdict:
         inputs = self.inputs
@@ -151,7 +151,7 @@ class Health:
             "last refusal": refused.text or "-",
         }
         if settings.pose_source == "tf" and settings.fixed_frame and not self.frames.has_tf and self.traced == 0:
-            return ERROR, f"{NO_TF}set pose_source to topic or parameter", values
+            return ERROR, f"{NO_TF}no pose is known; set pose_source to topic or parameter", values
         lights = [name for name in inputs.subscriptions if name.startswith("light ")]
         mismatch = inputs.mismatch("pose", *lights)
         if mismatch:
@@ -176,7 +176,10 @@ class Health:
         if doing is not None:
             return OK, _BUSY_WORDS[doing[0]].format(doing[1]), values
         if device.error and not device.pipeline:
-            return ERROR, f"the tracer cannot be made: {device.error}; correct that parameter and start again", values
+            text = f"the tracer cannot be made: {device.error}"
+            if device.error.startswith("kernel cache: "):  # it says itself what helps
+                return ERROR, text, values
+            return ERROR, f"{text}; correct that parameter and start again", values
         if device.error:
             text = f"{device.error}; {device.pipeline} stays in use, set the parameters pipeline and variant again"
             return ERROR, text, values
@@ -237,7 +240,7 @@ class Health:
             return f"query refused, {queries.refused.text}; correct its publisher"
         if settings.front_face_culling and settings.uses_depth:
             return (
-                "a depth image shows fronts only, and front_face_culling lets light through fronts: set one of "
+                "a depth image shows fronts only, and front_face_culling lets light through fronts; set one of "
                 "front_face_culling and occluders back"
             )
         if settings.process == "every" and self._lost.recent(now):
@@ -251,7 +254,7 @@ class Health:
                 "bounds.queue_capacity, or bounds.grid_entries for light_grid"
             )
         if len(settings.lights) > MOST_BITS and settings.mask_publish == "always":
-            return f"light_bits has {MOST_BITS} bits and is not published for {len(settings.lights)} lights"
+            return f"light_bits has {MOST_BITS} bits and is not published for {len(settings.lights)} lights; name fewer"
         if len(settings.lights) > MOST_LIGHTS and queries.answered:
-            return f"query/visibility has {MOST_LIGHTS} bits: it leaves out all lights after the first {MOST_LIGHTS}"
+            return f"query/visibility has {MOST_LIGHTS} bits: it leaves out all later lights; name fewer"
         return ""

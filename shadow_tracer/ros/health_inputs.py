@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from shadow_tracer.ros.diagnostics import ERROR, OK, WARN
+from shadow_tracer.ros.installed import config_file
 from shadow_tracer.ros.mesh_sources import TOPICS
 from shadow_tracer.ros.mesh_store import FILES
 from shadow_tracer.ros.messages import DISTORTED
@@ -57,21 +58,22 @@ def judge_depth(inputs: Inputs, settings: Settings, warning: str, busy_ms: float
             return WARN, f"no depth image on {topic}; {hint}", values
         return WARN, f"no depth image for {age:.0f} s on {topic}; {hint}", values
     if lost > _MUCH:
-        return WARN, f"{100 * lost:.0f} % of the images sent at {sent:.1f} Hz are lost; {_loss_hint(inputs)}", values
+        return WARN, _loss(inputs, lost, sent), values
     # Drivers send a rectified image with the distortion of the raw one beside it: by its name it is rectified.
     if warning and not (warning.startswith(DISTORTED) and "rect" in topic.rpartition("/")[2]):
         return WARN, warning, values
     return OK, f"{inputs.depth_format} at {rate:.1f} Hz", values
 
 
-def _loss_hint(inputs: Inputs) -> str:
+def _loss(inputs: Inputs, share: float, rate: float) -> str:
     topic = inputs.topic("depth")
+    lost = f"{100 * share:.0f} % of the images sent at {rate:.1f} Hz are lost"
     if inputs.depth_bytes < LARGE or not inputs.subscriptions["depth"].best_effort:
-        return f"the network or the machine is too busy; see `ros2 topic hz {topic}`"
+        return f"{lost}: the network or the machine is too busy; see `ros2 topic hz {topic}`"
+    size = f"{inputs.depth_bytes / 1e6:.1f} MB"
     return (
-        f"stock Fast DDS loses best effort messages of {inputs.depth_bytes / 1e6:.1f} MB: let all publishers of "
-        f"{topic} offer reliable, or start the camera driver with "
-        "FASTRTPS_DEFAULT_PROFILES_FILE=<share/shadow_tracer>/config/fastdds_large_images.xml"
+        f"{lost}: stock Fast DDS loses best effort messages of {size}: let all publishers of {topic} offer "
+        f"reliable, or start the driver with FASTRTPS_DEFAULT_PROFILES_FILE={config_file('fastdds_large_images.xml')}"
     )
 
 

@@ -101,7 +101,8 @@ class Lighting:
             when = stamp if sun.time is None else sun.time
             direction, elevation = self._sun.at(when, sun.latitude, sun.longitude)
         except (ImportError, ValueError) as error:
-            raise Missing(PROCESSING, f"lights.{light.name}: {error}", False, ERROR) from error
+            text = f"lights.{light.name}: {error}; correct lights.{light.name}.sun.*, or install what is named"
+            raise Missing(PROCESSING, text, False, ERROR) from error
         return None if elevation <= 0.0 else np.asarray(direction)
 
 

@@ -114,10 +114,10 @@ class Processor:
         try:
             optics = intrinsics(info, width, height)
         except MessageError as error:
-            raise Missing(DEPTH, str(error), wait=False, level=ERROR) from error
-        poses = self._frames.at(
-            settings, settings.camera_frame or frame.image.header.frame_id, frame.stamp, last_chance
-        )
+            cure = "" if "; " in str(error) else "; correct the driver of the camera"
+            raise Missing(DEPTH, f"{error}{cure}", wait=False, level=ERROR) from error
+        camera_frame = settings.camera_frame or frame.image.header.frame_id
+        poses = self._frames.at(settings, camera_frame, frame.stamp, last_chance)
         lit = self._lighting.at(settings, poses, frame.stamp)
         return _Job(info, optics, optics.camera(poses.camera_to_world), lit, poses)
 
@@ -209,7 +209,10 @@ def check_meshes(meshes: MeshStore, settings: Settings, now_ns: int) -> None:
     if not settings.uses_meshes:
         return
     if meshes.lacking and not meshes.parts:
-        text = f"what casts shadow is not known: a mesh was refused and there is no earlier one, {meshes.lacking}"
+        text = (
+            f"what casts shadow is not known: a mesh was refused and there is no earlier one, {meshes.lacking}; "
+            "correct its publisher, or mesh.files"
+        )
         raise Missing(MESH, text, wait=False, level=ERROR)
     if settings.mesh_max_age <= 0.0:
         return

@@ -25,6 +25,7 @@ from shadow_tracer.scene.checks import all_three
 MOST_LIGHTS = 32
 _CAPACITY = 8
 _SHORTEST_WAIT = 0.1
+_FAILED = "if it stays so, set another pipeline, or restart the node"
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ class Queries:
                     return
                 self._nothing_known(missing, known)
             except Exception as error:  # whatever it is, the same query must not come again for ever
-                self._nothing_known(Missing(PROCESSING, f"the query failed: {error}", False, ERROR), known)
+                self._nothing_known(Missing(PROCESSING, f"the query failed: {error}; {_FAILED}", False, ERROR), known)
             self._waiting.popleft()
             publish(visibility_cloud(query.message, query.points, bits, known))
             self.answered += 1
