@@ -21,9 +21,12 @@ pytest.importorskip("yaml")
 
 import zstandard
 from bag_journey import FRAMES, IMAGE, MCAP, SQLITE, depth_at, journey, log_of, run, same
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Header, Message, Schema
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from shadow_tracer.apps.bag_salvage import mend_mcap, mend_sqlite
+from shadow_tracer.apps.bag_salvage import MCAP_MAGIC, mend_mcap, mend_sqlite
 from shadow_tracer.apps.bag_salvage_ros1 import mend_ros1, ros1_is_whole
 
 
@@ -63,6 +66,21 @@ def test_a_damaged_chunk_ends_what_is_read(tmp_path: Path) -> None:
     count = mend_mcap(file, tmp_path / "mended.mcap")
     assert 10 <= count <= 25
     assert [data[0] for _, _, data in log_of(tmp_path / "mended.mcap")] == list(range(count))
+
+
+def test_channels_that_a_recorder_repeats_stay_one(tmp_path: Path) -> None:
+    """rosbag2 repeats them in each chunk, and a file cannot have more than 65536."""
+    parts = RecordBuilder()
+    Header("ros2", "a test").write(parts)
+    for k in range(5):
+        Schema(1, b"uint8 x", "ros2msg", IMAGE).write(parts)
+        Channel(1, "/x", "cdr", {}, 1).write(parts)
+        Message(1, k, bytes([k]), k, 0).write(parts)
+    (tmp_path / "in.mcap").write_bytes(MCAP_MAGIC + parts.end())
+    assert mend_mcap(tmp_path / "in.mcap", tmp_path / "mended.mcap") == 5
+    with AnyReader([tmp_path / "mended.mcap"]) as reader:
+        assert len(reader.connections) == 1
+        assert [data for _, _, data in reader.messages()] == [bytes([k]) for k in range(5)]
 
 
 def test_a_killed_recording(tmp_path: Path, expected: list[np.ndarray], capsys: pytest.CaptureFixture[str]) -> None:
