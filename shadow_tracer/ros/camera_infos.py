@@ -75,7 +75,7 @@ class CameraInfos:
         if policy == "exact":
             raise Missing(DEPTH, f"{text}; set camera_info_policy to auto, or to latest if the lens does not move")
         if not last_chance and self._is_paired(stamp):
-            raise Missing(DEPTH, text)
+            raise Missing(DEPTH, f"{text}; it may still come")
         before = max((other for other in self._kept if other < stamp), default=None)
         after = min((other for other in self._kept if other > stamp), default=None)
         if before is not None and after is not None:

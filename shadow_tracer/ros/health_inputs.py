@@ -72,8 +72,9 @@ def _loss(inputs: Inputs, share: float, rate: float) -> str:
         return f"{lost}: the network or the machine is too busy; see `ros2 topic hz {topic}`"
     size = f"{inputs.depth_bytes / 1e6:.1f} MB"
     return (
-        f"{lost}: stock Fast DDS loses best effort messages of {size}: let all publishers of {topic} offer "
-        f"reliable, or start the driver with FASTRTPS_DEFAULT_PROFILES_FILE={config_file('fastdds_large_images.xml')}"
+        f"{lost}: stock Fast DDS loses best effort messages of {size}, unless the driver of the camera has "
+        f"FASTRTPS_DEFAULT_PROFILES_FILE={config_file('fastdds_large_images.xml')}; "
+        f"let all publishers of {topic} offer reliable"
     )
 
 
