@@ -23,7 +23,8 @@ FRAMES = 4
 FORWARD = (0.0, -(0.5**0.5), 0.0, 0.5**0.5)
 OPTIONS = [
     *("--no-timing", "--param", "device:=cpu", "--param", "fixed_frame:=odom", "--param", "lights.spot.type:=spot"),
-    *("--param", "bounds.max_triangles:=4096", "--param", "bounds.max_rays:=4096", "--param", "light_names:=[lamp, spot]"),
+    *("--param", "bounds.max_triangles:=4096", "--param", "bounds.max_rays:=4096"),
+    *("--param", "light_names:=[lamp, spot]"),
     *("--param", "lights.lamp.position:=[0.4, -0.7, 0.3]", "--param", "lights.spot.outer_angle:=0.3"),
 ]
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
