@@ -104,10 +104,10 @@ class Recording:
         self._types: dict[int, Types] = {}
         self._stack = ExitStack()
         try:
-            files = BagFiles(path)
-            self._stack.callback(files.close)
-            self.warnings = files.warnings
-            for file in files.paths:
+            self._files = BagFiles(path)
+            self._stack.callback(self._files.close)
+            self.warnings = self._files.warnings
+            for file in self._files.paths:
                 self._open(file)
             self._choose_depth()
             self._check()
@@ -182,6 +182,11 @@ class Recording:
                 name, topic, kind, convert = known[connection.id]
                 yield Message(name, topic, time, kind, data, convert, connection)
         except Exception as error:  # of the library, which trusts what it reads
+            if "not in timestamp order" in str(error):  # written without chunks, by several threads
+                files = [path for path in self._files.paths if path.is_relative_to(self.path)]
+                file = files[number] if len(files) == len(self._readers) else self.path  # others were unpacked
+                cure = f"mcap sort {shlex.quote(str(file))} -o sorted.mcap"
+                raise BagError(f"{file}: an mcap file without index that is not sorted; try: {cure}") from error
             raise BagError(f"{self.path}: the bag is damaged: {type(error).__name__} {error}") from error
 
     def _name(self, connection: Any) -> str:

@@ -23,6 +23,8 @@ import zstandard
 from bag_journey import FRAMES, IMAGE, MCAP, SQLITE, depth_at, journey, log_of, run, same
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Header, Message, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
@@ -49,8 +51,6 @@ def test_an_mcap_file_that_was_cut_off_anywhere(mode: Any, tmp_path: Path) -> No
 
 def test_a_damaged_chunk_ends_what_is_read(tmp_path: Path) -> None:
     """Bytes that a checksum contradicts are not used, even if they could be messages."""
-    from mcap.writer import CompressionType, Writer
-
     file = tmp_path / "in.mcap"
     writer = Writer(str(file), chunk_size=1000, compression=CompressionType.NONE)
     writer.start(profile="ros2")
@@ -197,6 +197,25 @@ def test_a_compressed_file_that_is_cut_off(
     assert f"warning: {packed}: the recording is cut off; its " in err
 
 
+def unsorted(bag: Path) -> None:
+    """As the preset fastwrite of rosbag2 leaves it where several threads record."""
+    file = bag / "in.mcap"
+    with file.open("rb") as stream:
+        records = list(StreamReader(stream).records)
+    file.unlink()
+    writer = Writer(str(file), use_chunking=False, compression=CompressionType.NONE)
+    writer.start(profile="ros2")
+    schemas = {r.id: writer.register_schema(r.name, r.encoding, r.data) for r in records if isinstance(r, Schema)}
+    channels = {
+        r.id: writer.register_channel(r.topic, r.message_encoding, schemas[r.schema_id], r.metadata)
+        for r in records
+        if isinstance(r, Channel)
+    }
+    for r in sorted((r for r in records if isinstance(r, Message)), key=lambda r: r.log_time ^ 2**21):
+        writer.add_message(channels[r.channel_id], r.log_time, r.data, r.publish_time)
+    writer.finish()
+
+
 def two_recordings(bag: Path) -> None:
     (bag / "metadata.yaml").unlink()
     shutil.copy(bag / "in.mcap", bag / "other.mcap")
@@ -224,6 +243,7 @@ def other_packing(bag: Path) -> None:
 
 
 DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "unsorted": (unsorted, "in.mcap: an mcap file without index that is not sorted; try: mcap sort "),
     "two recordings": (two_recordings, "no metadata.yaml and more than one recording; give one of in.mcap, other.mcap"),
     "cut short": (cut_short, "in.mcap: the recording is cut off before its first whole message; try: mcap recover "),
     "no message": (no_message, "cut off before its first whole message; try: rosbag reindex "),
