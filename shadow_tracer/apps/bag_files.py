@@ -21,6 +21,7 @@ ZSTD = b"\x28\xb5\x2f\xfd"
 _EXPECTED = "expected an mcap, db3 or ROS 1 bag file, alone or compressed by zstd"
 # What splitting adds to the name of a recording, and what the kind of file adds.
 _PART = re.compile(r"(_?\d{4}(-\d\d){5})?_(\d+)$")
+_ENDING = re.compile(r"\.(mcap|db3|bag)(\.active)?(\.zstd)?$")
 # By kind: whether a file is whole, how it is mended, and what else may help.
 _MENDING: dict[str, tuple[Callable[[Path], bool], Callable[[Path, Path], int], str]] = {
     ".mcap": (mcap_ends, mend_mcap, "mcap recover {file} -o mended.mcap"),
@@ -97,11 +98,14 @@ class BagFiles:
         # compressed ones last, so that they count only where the recorder left no other
         for file in sorted(folder.iterdir(), key=lambda file: (file.suffix == ".zstd", file.name)):
             if file.is_file() and (kind := _kind(file)):
-                name, _, rest = file.name.partition(".")
+                name, unpacked = _ENDING.sub("", file.name), file.name.removesuffix(".zstd")
                 part = _PART.search(name)
-                ending = kind if kind != ".zstd" else f".{rest.partition('.')[0]}"
+                ending = kind if kind != ".zstd" else PurePath(unpacked).suffix
                 parts = recordings.setdefault((name[: part.start()] if part else name, ending), {})
-                parts.setdefault(int(part[3]) if part else -1, file)
+                number = int(part[3]) if part else -1
+                if number in parts and kind != ".zstd":  # the same part of another recording
+                    recordings[file.name, ending] = {number: file}
+                parts.setdefault(number, file)
         if not recordings:
             raise BagError(f"{folder}: {_EXPECTED} or the folder of a bag, found none in this folder")
         if len(recordings) > 1:

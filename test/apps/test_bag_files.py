@@ -73,6 +73,19 @@ def test_parts_without_metadata_are_read_in_order(tmp_path: Path, expected: list
     assert same(run(whole, tmp_path / "out.mcap"), expected)
 
 
+@pytest.mark.parametrize("compressed_too", [False, True])
+def test_names_of_parts_may_have_dots(compressed_too: bool, tmp_path: Path, expected: list[np.ndarray]) -> None:
+    whole = tmp_path / "run"
+    whole.mkdir()
+    for number, part in enumerate((slice(0, 17), slice(17, None))):
+        data = (journey().write(tmp_path / str(number), part=part) / f"{number}.mcap").read_bytes()
+        if compressed_too:
+            (whole / f"run.v1.5_{number}.mcap.zstd").write_bytes(zstandard.compress(data))
+        else:
+            (whole / f"run.v1.5_{number}.mcap").write_bytes(data)
+    assert same(run(whole, tmp_path / "out.mcap"), expected)
+
+
 def test_metadata_that_was_not_written_to_its_end(
     tmp_path: Path, expected: list[np.ndarray], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -221,6 +221,13 @@ def two_recordings(bag: Path) -> None:
     shutil.copy(bag / "in.mcap", bag / "other.mcap")
 
 
+def two_with_one_name(bag: Path) -> None:
+    shutil.rmtree(bag)
+    bag.mkdir()
+    for day in (1, 2):
+        journey().write_ros1(bag / f"drive_2019-03-0{day}-10-20-30_0.bag")
+
+
 def cut_short(bag: Path) -> None:
     file = bag / "in.mcap"
     file.write_bytes(file.read_bytes()[:60])
@@ -245,6 +252,10 @@ def other_packing(bag: Path) -> None:
 DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
     "unsorted": (unsorted, "in.mcap: an mcap file without index that is not sorted; try: mcap sort "),
     "two recordings": (two_recordings, "no metadata.yaml and more than one recording; give one of in.mcap, other.mcap"),
+    "two with one name": (
+        two_with_one_name,
+        "give one of drive_2019-03-01-10-20-30_0.bag, drive_2019-03-02-10-20-30_0",
+    ),
     "cut short": (cut_short, "in.mcap: the recording is cut off before its first whole message; try: mcap recover "),
     "no message": (no_message, "cut off before its first whole message; try: rosbag reindex "),
     "half a database": (lost_header, "the recording is cut off and cannot be read: "),
