@@ -87,7 +87,8 @@ def perform(chosen: argparse.Namespace) -> int:
         print(f"warning: {warning}", file=sys.stderr)
     lights = [light.name for light in settings.lights if light.type != "sun"]
     wish = Wish(timing=not chosen.no_timing, overlay=chosen.overlay, copy=chosen.copy)
-    with Recording(chosen.bag, names, lights) as recording, Output(chosen.output, chosen.overwrite) as output:
+    source = Recording(chosen.bag, names, lights, settings.max_rays)
+    with source as recording, Output(chosen.output, chosen.overwrite) as output:
         for line in (*recording.notes, *(f"warning: {text}" for text in recording.warnings)):
             print(line, file=sys.stderr)
         background = read_background(recording, settings)

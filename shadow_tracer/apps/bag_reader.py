@@ -83,6 +83,7 @@ class Recording:
         path: a file, or the folder of a bag; of ROS 2 or ROS 1.
         names: how topics are called.
         lights: names of lights whose poses may be in it.
+        max_pixels: a larger compressed depth image is refused before memory is taken for it.
 
     Attributes:
         warnings: what is missing of the recording, a sentence each.
@@ -93,8 +94,9 @@ class Recording:
         OSError: a file cannot be read, or there is no room to unpack it.
     """
 
-    def __init__(self, path: Path, names: Names, lights: Iterable[str]) -> None:
+    def __init__(self, path: Path, names: Names, lights: Iterable[str], max_pixels: int) -> None:
         self.path = path
+        self._max_pixels = max_pixels
         inputs = INPUTS | {f"light {name}": (f"~/lights/{name}/pose", POSE) for name in lights}
         self._wanted = {names.topic(topic): (name, kind) for name, (topic, kind) in inputs.items()}
         if len(self._wanted) < len(inputs):
@@ -153,7 +155,7 @@ class Recording:
             content: Any = USUAL.deserialize_cdr(data, message.kind)
         except Exception as error:  # bytes can be wrong in any way
             raise MessageError(f"message: not a {message.kind}: {error}") from error
-        return _unpacked(content) if message.kind == COMPRESSED else content
+        return _unpacked(content, self._max_pixels) if message.kind == COMPRESSED else content
 
     def copier(self, message: Message) -> tuple[bytes, Any]:
         """Bytes of any message for a new bag of ROS 2, and the types that define it. Raises MessageError."""
@@ -237,9 +239,9 @@ def _full(connection: Any) -> str:
     return f"/{connection.topic.lstrip('/')}"
 
 
-def _unpacked(message: Any) -> Any:
+def _unpacked(message: Any, max_pixels: int) -> Any:
     """The sensor_msgs/Image of a compressed depth image. Raises MessageError."""
-    depth = decode_compressed(message.format, message.data)
+    depth = decode_compressed(message.format, message.data, max_pixels)
     encoding = "16UC1" if depth.dtype == np.uint16 else "32FC1"
     data = depth.reshape(-1).view(np.uint8)
     return USUAL.types[IMAGE](header=message.header, data=data, **image_layout(depth, encoding))

@@ -250,3 +250,18 @@ def test_damaged_compressed_depth_is_refused(tmp_path: Path, capsys: pytest.Capt
 
     run(journey(damaged).write(tmp_path / "in"), tmp_path / "out.mcap", expect=3)
     assert f"depth: {FRAMES} messages were refused, the last one because of data: the PNG" in capsys.readouterr().err
+
+
+def test_large_compressed_depth_is_refused_before_it_is_unpacked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def large(made: BagMaker, k: int) -> None:
+        form, data = compressed(np.full((99, 99), 2000, np.uint16), "png")
+        content = np.frombuffer(data[:50], np.uint8)  # nothing but its size
+        header = stamped(100 * SECOND + k, "camera")
+        made.add(
+            f"{DEPTH}/compressedDepth", make("sensor_msgs/CompressedImage", header=header, format=form, data=content)
+        )
+
+    run(journey(large).write(tmp_path / "in"), tmp_path / "out.mcap", expect=3)
+    assert "data: expected at most bounds.max_rays = 4096 pixels, got 99 x 99" in capsys.readouterr().err
