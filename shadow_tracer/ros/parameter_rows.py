@@ -15,6 +15,9 @@ BOOL, INTEGER, DOUBLE, STRING = "bool", "integer", "double", "string"
 STRINGS, DOUBLES = "string array", "double array"
 
 
+_WIDEST_SLIDER = 1000.0  # a screen has some thousand pixels: beyond, each is more than a unit
+
+
 class ParameterError(ValueError):
     """A parameter has a value it cannot have. The message starts with its name, then what is allowed and what came."""
 
@@ -53,13 +56,21 @@ class Parameter:
     def constraint(self) -> str:
         """The allowed values in words, unit included; "" if every value of the type is allowed."""
         unit = f" {self.unit}" if self.unit else ""
+        each = f" [{self.unit}]" if self.unit else ""
         if self.allowed:
             return ", ".join(word or '""' for word in self.allowed)
         if self.low is not None:
             return f"{_number(self.low)} to {_number(self.high)}{unit}"
         if self.length:
-            return f"{self.length} numbers{unit}"
+            return f"{self.length} numbers{each}"
         return self.pattern_text
+
+    @property
+    def slider(self) -> tuple[float, float] | None:
+        """The range that tools are given, which make a slider of it; None where no hand could set a value on one."""
+        if self.low is None or self.high is None or self.read_only or self.high - self.low > _WIDEST_SLIDER:
+            return None
+        return self.low, self.high
 
 
 def _number(value: Any) -> str:

@@ -32,11 +32,12 @@ def _descriptor(row: table.Parameter) -> ParameterDescriptor:
         additional_constraints="; ".join(note for note in notes if note),
         read_only=bool(row.read_only),
     )
-    if row.low is not None and row.high is not None:
+    if row.slider is not None:
+        low, high = row.slider
         if row.type == rows.INTEGER:
-            descriptor.integer_range = [IntegerRange(from_value=int(row.low), to_value=int(row.high), step=0)]
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=0)]
         else:
-            descriptor.floating_point_range = [FloatingPointRange(from_value=row.low, to_value=row.high, step=0.0)]
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
     return descriptor
 
 

@@ -123,10 +123,10 @@ PARAMETERS: tuple[Parameter, ...] = (
               pattern=_LIGHT_NAME, pattern_text="letters, digits and single underscores, a letter first"),
     Parameter("bias.constant", DOUBLE, 0.02,
               "Shadow rays start this far from the surface. It hides depth noise and the gap between surface and "
-              "mesh; too large loses contact shadows.", "m", 0.0, 10.0),
+              "mesh; too large loses contact shadows.", "m", 0.0, 1.0),
     Parameter("bias.quadratic", DOUBLE, 0.003,
               "Added to bias.constant times the square of the depth: the noise of stereo and structured light grows "
-              "so.", "1/m", 0.0, 1.0),
+              "so.", "1/m", 0.0, 0.1),
     Parameter("front_face_culling", BOOL, False,
               "Triangles whose front (corners counter-clockwise) faces the light cast nothing, their backs do. Only "
               "for closed meshes with outward fronts, and with a bias of nearly zero."),

@@ -67,9 +67,9 @@ CHANGES: list[tuple[str, Any, dict[str, Any]]] = [
     ("depth_occluder.max_jump", 1.0, DEPTH),
     ("light_names", ["other", "lamp"], {"lights.lamp.position": [-0.5, 0.5, 0.0]}),
     ("light_names", [""], {"mask.unknown_value": 5}),
-    ("bias.constant", 1.5, PLAIN),
-    ("bias.constant", 2, PLAIN),
-    ("bias.quadratic", 0.5, PLAIN),
+    ("bias.constant", 0.9, PLAIN),
+    ("bias.constant", 1, PLAIN),
+    ("bias.quadratic", 0.1, {"bias.constant": 0.5}),
     ("mask.unknown_value", 99, PLAIN),
     ("lights.lamp.type", "directional", PLAIN),
     ("lights.lamp.type", "spot", PLAIN),
@@ -151,16 +151,16 @@ def test_every_parameter_is_shown_to_change_something() -> None:
         ("bounds__max_lights", 5, "bounds.max_lights is read-only"),
         ("bounds__queue_capacity", 5, "bounds.queue_capacity is read-only"),
         ("bounds__grid_entries", 5, "bounds.grid_entries is read-only"),
-        ("bias__constant", -1.0, "bias.constant: expected double (0 to 10 m), got -1.0"),
-        ("bias__constant", math.nan, "bias.constant: expected double (0 to 10 m), got nan"),
-        ("bias__constant", "small", "bias.constant: expected double (0 to 10 m), got 'small'"),
+        ("bias__constant", -1.0, "bias.constant: expected double (0 to 1 m), got -1.0"),
+        ("bias__constant", math.nan, "bias.constant: expected double (0 to 1 m), got nan"),
+        ("bias__constant", "small", "bias.constant: expected double (0 to 1 m), got 'small'"),
         ("mask__unknown_value", 255, "mask.unknown_value: expected integer (0 to 254), got 255"),
         ("pose_source", "gps", "pose_source: expected string (tf, topic, parameter), got 'gps'"),
         ("variant", "float64", "variant: expected one of packed, packed_scalar"),
         ("camera_pose", [0.0], "camera_pose: expected double array (7 numbers)"),
         ("light_names", ["a b"], "light_names: expected names"),
         ("light_names", ["a", "a"], "light_names: expected different names"),
-        ("lights__lamp__position", [0.0, math.inf, 0.0], "lights.lamp.position: expected double array (3 numbers m)"),
+        ("lights__lamp__position", [0.0, math.inf, 0.0], "lights.lamp.position: expected double array (3 numbers [m])"),
         ("lights__lamp__direction", [0.0, 0.0, 0.0], "lights.lamp.direction: expected a length"),
         ("lights__lamp__postion", [0.0, 0.0, 0.0], "did you mean lights.lamp.position?"),
         ("lights__sun__position", [0.0, 0.0, 0.0], "'sun' is not in light_names ['lamp']"),
@@ -251,7 +251,7 @@ def test_descriptors_say_what_is_allowed(rig: Rig) -> None:
         descriptor = rig.node.describe_parameter(name)
         assert descriptor.description and not descriptor.dynamic_typing
     bias = rig.node.describe_parameter("bias.constant")
-    assert bias.floating_point_range[0].to_value == 10.0 and "m" in bias.additional_constraints
+    assert bias.floating_point_range[0].to_value == 1.0 and "m" in bias.additional_constraints
     assert rig.node.describe_parameter("mask.unknown_value").integer_range[0].to_value == 254
     device = rig.node.describe_parameter("device")
     assert device.read_only and "auto, cpu, cuda:N; read-only: buffers" in device.additional_constraints
@@ -377,6 +377,24 @@ def test_verify_every(rig: Rig) -> None:
     assert verified(4) == 2
     assert rig.set(verify_every=1) == ""
     assert verified(4) == 4
+
+
+def test_ranges_are_those_of_a_slider_where_one_makes_sense(rig: Rig) -> None:
+    """Tools make a slider of each range, which nobody can set a value on if it goes to a million."""
+    assert rig.node
+    ranges, texts = {}, {}
+    for name in names_for(["lamp"]):
+        found = rig.node.describe_parameter(name)
+        texts[name] = found.additional_constraints
+        for given in [*found.floating_point_range, *found.integer_range]:
+            ranges[name] = (given.from_value, given.to_value)
+    assert {"bias.constant", "bias.quadratic", "tf_timeout", "lights.lamp.outer_angle"} < set(ranges)
+    assert ranges["bias.constant"] == (0.0, 1.0) and ranges["mask.unknown_value"] == (0, 254)
+    assert all(high - low <= 1000 for low, high in ranges.values()), ranges
+    assert not {"lights.lamp.range", "mesh.max_age", "verify_every", "bounds.max_rays", "threads"} & set(ranges)
+    assert texts["mesh.max_age"] == "0 to 1000000 s", "the bounds are said all the same"
+    assert texts["lights.lamp.position"] == "3 numbers [m]" and texts["camera_pose"] == "7 numbers"
+    assert rig.set(mesh__max_age=1e7).startswith("mesh.max_age: expected double (0 to 1000000 s)")
 
 
 def nested(values: dict[str, Any]) -> dict[str, Any]:

@@ -75,10 +75,10 @@ BAD = [
     ("light_names", ["1st"], "light_names: expected names"),
     ("light_names", [1, 2], "light_names: expected string array"),
     ("light_names", [f"l{k}" for k in range(17)], "light_names: expected at most bounds.max_lights = 16 names, got 17"),
-    ("bias.constant", math.nan, "bias.constant: expected double (0 to 10 m), got nan"),
-    ("bias.constant", True, "bias.constant: expected double (0 to 10 m), got True"),
-    ("bias.constant", "0.1", "bias.constant: expected double (0 to 10 m), got '0.1'"),
-    ("bias.quadratic", -1.0, "bias.quadratic: expected double (0 to 1 1/m), got -1.0"),
+    ("bias.constant", math.nan, "bias.constant: expected double (0 to 1 m), got nan"),
+    ("bias.constant", True, "bias.constant: expected double (0 to 1 m), got True"),
+    ("bias.constant", "0.1", "bias.constant: expected double (0 to 1 m), got '0.1'"),
+    ("bias.quadratic", -1.0, "bias.quadratic: expected double (0 to 0.1 1/m), got -1.0"),
     ("front_face_culling", "on", "front_face_culling: expected bool, got 'on'"),
     ("mask.unknown_value", 255, "mask.unknown_value: expected integer (0 to 254), got 255"),
     ("mask.unknown_value", 1.0, "mask.unknown_value: expected integer"),
@@ -100,7 +100,7 @@ BAD = [
     ("lights.lamp.enabled", "yes", "lights.lamp.enabled: expected bool, got 'yes'"),
     ("lights.lamp.enabled", 1, "lights.lamp.enabled: expected bool, got 1"),
     ("lights.lamp.frame", "/lamp", "lights.lamp.frame: expected string"),
-    ("lights.lamp.position", [1.0, 2.0], "lights.lamp.position: expected double array (3 numbers m), got (1.0, 2.0)"),
+    ("lights.lamp.position", [1.0, 2.0], "lights.lamp.position: expected double array (3 numbers [m]), got (1.0, 2.0)"),
     ("lights.lamp.direction", [0, 0, 0], "lights.lamp.direction: expected a length from 1e-6 to 1e6"),
     ("lights.lamp.outer_angle", 4.0, "lights.lamp.outer_angle: expected double (0.001 to pi rad), got 4.0"),
     ("lights.lamp.range", -1.0, "lights.lamp.range: expected double (0 to 1000000000 m), got -1.0"),
@@ -245,7 +245,7 @@ def test_markdown_table() -> None:
     assert text.count("\n") == 2 + len(parameters.PARAMETERS) + len(parameters.LIGHT_PARAMETERS)
     for line in text.splitlines():
         assert line.replace("\\|", "").count("|") == 6
-    assert "| `bias.constant` | double | `0.02` | 0 to 10 m |" in text
+    assert "| `bias.constant` | double | `0.02` | 0 to 1 m |" in text
     assert "Read-only: device buffers of this size are allocated once" in text
     run = subprocess.run(
         [sys.executable, "-m", "shadow_tracer.ros.parameters"], cwd=ROOT, capture_output=True, text=True, check=True
