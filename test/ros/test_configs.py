@@ -275,7 +275,33 @@ def test_uv_lamp_each_part_of_the_tube_has_its_own_shadow(bench: Bench) -> None:
         }
         stamp = bench.rig.send_frame(wall(distance=4.0))
         bench.check_lights(stamp, floor(4.0, 0.6), lamps, [wall_of_30_cm])
-        assert bench.rig.mask_of(stamp)[0, 0] == 0  # no depth is no dose
+        assert bench.rig.mask_of(stamp)[0, 0] == 0  # no depth is not reached
+
+
+def test_uv_lamp_promises_nothing_that_is_not_computed() -> None:
+    """Of doses and of disinfection it says only that they are not computed."""
+    text = (CONFIG / "uv_lamp.yaml").read_text()
+    head, _, rest = text.partition("# What is NOT computed: ")
+    denied, _, values = rest.partition("/**:")
+    for word in ("distance", "angle", "how long", "reflected", "dose", "disinfected"):
+        assert word in denied, word
+    for word in ("dose", "disinfect", "irradiance", "J/m", "W/m"):
+        assert word not in head + values, word
+    readme = (CONFIG.parent / "README.md").read_text()
+    assert not [line for line in readme.splitlines() if "uv_lamp" in line and "disinfect" in line]
+
+
+@uses("uv_lamp")
+def test_uv_lamp_a_mask_knows_neither_distance_nor_angle(bench: Bench) -> None:
+    """What the file says of it: near under the lamp and far off at a grazing angle it is the same 255."""
+    bench.place("map", "camera", (1.0, 0.0, 4.0), DOWN)
+    bench.place("map", "uv_lamp", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    bench.hear("bottom")
+    stamp = bench.rig.send_frame(wall(distance=4.0))
+    mask, points = bench.rig.mask_of(stamp, "bottom").ravel(), floor(4.0, 1.0)
+    away = np.linalg.norm(points[:, :2], axis=1)
+    near, far = (mask[1:][(low < away[1:]) & (away[1:] < low + 0.2)] for low in (0.1, 2.2))
+    assert near.size and far.size and (near == 255).all() and (far == 255).all()
 
 
 # Spotlight on board
