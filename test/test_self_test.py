@@ -21,14 +21,13 @@ _NAMES = ["brute_force", *(name for name in available_pipelines() if name != "br
 
 def test_all_pipelines_are_right(any_device: str) -> None:
     self_test.run(any_device)  # kernels are loaded
-    begin, used = time.perf_counter(), time.process_time()
+    begin = time.perf_counter()
     results = self_test.run(any_device)
-    seconds, used = time.perf_counter() - begin, time.process_time() - used
+    seconds = time.perf_counter() - begin
     assert [result.pipeline for result in results] == _NAMES
     for result in results:
         assert result.ok and result.differing == 0 and result.text == "", result
         assert result.variant == available_pipelines()[result.pipeline][0] and 0.0 < result.seconds < seconds
-    assert used < 2.0, "seconds of the processor: the clock runs on while others work"
 
 
 def _expected() -> list[list[np.ndarray]]:
