@@ -70,7 +70,6 @@ class Core:
         backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         self._jumps = node.get_clock().create_jump_callback(backward, post_callback=self.guarded(self._on_jump))
         self._warned = False
-        self._clockless = False
         self._log = LogBridge(node.get_logger())
         self.outputs.configure(server.settings)
 
@@ -265,9 +264,6 @@ class Core:
 
     def _report(self) -> None:
         clock = self.node.get_clock().now()
-        if self._clockless and clock.nanoseconds:  # the first /clock: what came before has no age
-            self.inputs.meshes.store.restart_age(clock.nanoseconds)
-        self._clockless = not clock.nanoseconds
         doing = (self.host.doing, self.host.busy_for()) if self.host.busy else None
         array = self.health.report(self.settings, doing, time.monotonic(), clock.nanoseconds, clock.to_msg())
         self.outputs.diagnostics.publish(array)

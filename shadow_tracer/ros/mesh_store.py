@@ -186,12 +186,14 @@ class MeshStore:
 
     def expire(self, now_ns: int) -> None:
         """Drop the parts whose lifetime is over at a time of the node's clock [ns]."""
+        self._date(now_ns)
         gone = [key for key, part in self._parts.items() if part.expires is not None and part.expires <= now_ns]
         if gone:
             self.commit(Changes(remove=tuple(gone)), now_ns)
 
     def oldest(self, now_ns: int) -> tuple[str, float]:
         """Key and age [s] of the part that was received longest ago; ("", 0.0) if none can age. Files do not."""
+        self._date(now_ns)
         ages = {key: now_ns - then for key, then in self._received.items() if not key.startswith(FILES)}
         if not ages:
             return "", 0.0
@@ -201,8 +203,18 @@ class MeshStore:
     def restart_age(self, now_ns: int) -> None:
         """Time has jumped to ``now_ns`` [ns]: every part counts as received now, lifetimes included. Parts that stay
         where their frame was once stay there: of that time nothing is known any more."""
+        self._restart(tuple(self._parts), now_ns)
+
+    def _date(self, now_ns: int) -> None:
+        """What was received at 0, before the first /clock of a simulation, counts as received with it."""
+        undated = tuple(key for key, then in self._received.items() if then == 0) if now_ns else ()
+        if undated:
+            self._restart(undated, now_ns)
+
+    def _restart(self, keys: Iterable[str], now_ns: int) -> None:
         self._parts = dict(self._parts)  # snapshots stay what they are
-        for key, part in list(self._parts.items()):
+        for key in keys:
+            part = self._parts[key]
             if part.expires is not None:
                 self._parts[key] = moved = replace(part, expires=now_ns + part.expires - self._received[key])
                 if key in self._fixed and self._fixed[key][0] is part:

@@ -99,13 +99,13 @@ def test_changes_clear_then_remove_then_put(store: MeshStore) -> None:
 )
 def test_what_does_not_fit_is_refused_whole(store: MeshStore, part: Part, message: str) -> None:
     kept = soup("mesh")
-    store.commit(Changes((kept,)), 0)
+    store.commit(Changes((kept,)), SECOND)
     with pytest.raises(PartError) as caught:
-        store.commit(Changes((soup("other"), part), ("other",), "other"), 5 * SECOND)
+        store.commit(Changes((soup("other"), part), ("other",), "other"), 6 * SECOND)
     assert message in str(caught.value)
-    assert dict(store.parts) == {"mesh": kept} and store.oldest(5 * SECOND) == ("mesh", 5.0)
+    assert dict(store.parts) == {"mesh": kept} and store.oldest(6 * SECOND) == ("mesh", 5.0)
     replacing = soup("mesh", 100)
-    store.commit(Changes((replacing,)), 6 * SECOND)  # what it replaces does not count
+    store.commit(Changes((replacing,)), 7 * SECOND)  # what it replaces does not count
     assert store.parts["mesh"] is replacing
 
 
@@ -192,6 +192,21 @@ def test_an_unlocked_part_stays_where_its_frame_was(store: MeshStore, scene: Sce
     places.world = "odom"  # another world: all places are others
     store.update(scene, places, "")
     assert scene["now"].pose[0, 3] == 2.0
+
+
+def test_what_came_before_there_was_a_time_came_with_it(store: MeshStore) -> None:
+    """A simulation whose /clock comes late: ages and lifetimes begin with it, whoever asks first."""
+    store.commit(Changes((soup("stays"), soup("short", expires=3 * SECOND))), 0)
+    assert store.oldest(0) == ("stays", 0.0)
+    store.expire(0)
+    store.expire(100 * SECOND)
+    assert set(store.parts) == {"stays", "short"}
+    assert store.oldest(101 * SECOND)[1] == 1.0
+    store.expire(103 * SECOND)
+    assert set(store.parts) == {"stays"}
+    other = MeshStore(100)
+    other.commit(Changes((soup("a"),)), 0)
+    assert other.oldest(50 * SECOND) == ("a", 0.0) and other.oldest(52 * SECOND) == ("a", 2.0)
 
 
 def test_lifetimes_end_and_ages_are_counted_by_part(store: MeshStore) -> None:

@@ -155,7 +155,7 @@ def test_images_ahead_of_the_clock_have_no_negative_age() -> None:
 def test_a_change_of_use_sim_time_is_a_jump(rig: Rig) -> None:
     """From the time of the machine to that of a simulation: ages start again, none is negative."""
     rig.send_mesh(*plate())
-    assert rig.set(use_sim_time=True) == ""
+    assert rig.set(use_sim_time=True, diagnostics_period=1.0) == ""  # no report between this and the first /clock
     rig.publish_clock(50.0)
     rig.until(lambda: rig.value(MESH, "age [s]").startswith("0.0"), what="ages start again")
     rig.wait_status(PROCESSING, OK)
