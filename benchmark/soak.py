@@ -28,10 +28,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 from diagnostic_msgs.srv import SelfTest
 from geometry_msgs.msg import PoseStamped
-from harness import FOCAL, NodeProcess, Rig, image_msg, info_msg, plate, reliable, wall
+from harness import FOCAL, NodeProcess, Rig, info_msg, plate, reliable, wall
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CompressedImage, PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -61,6 +61,7 @@ KNOWN: dict[str, Any] = {
     "lights.lamp.enabled": True,
     "bias.constant": 0.02,
     "bias.quadratic": 0.003,
+    "depth_image_transport": "raw",
     "occluders": "mesh",
     "front_face_culling": False,
     "mask.unknown_value": 77,
@@ -79,6 +80,8 @@ class Soak:
         self.marker = friend.create_publisher(Marker, "mesh_marker", reliable())
         self.markers = friend.create_publisher(MarkerArray, "mesh_markers", reliable())
         self.cloud = friend.create_publisher(PointCloud2, "mesh_cloud", reliable())
+        self.raw = rig.depth
+        self.packed = friend.create_publisher(CompressedImage, "depth/image_rect/compressedDepth", reliable())
         self.lamp = friend.create_publisher(PoseStamped, "shadow_tracer/lights/lamp/pose", reliable())
         self.query = friend.create_publisher(PointCloud2, "query", reliable())
         self.setter = friend.create_client(SetParametersAtomically, "shadow_tracer/set_parameters_atomically")
@@ -162,6 +165,8 @@ class Soak:
             "mask.publish": rng.choice(("listened", "always")),
             "process": rng.choice(("latest", "every")),
             "mesh.max_age": rng.choice((0.0, 60.0)),
+            "depth_image_transport": rng.choice(("raw", "compressedDepth")),
+            "depth.unit": rng.choice((0.001, 0.0011)),
             "camera_info_policy": rng.choice(("auto", "exact", "latest")),
         }
         chosen = {name: choices[name] for name in rng.sample(sorted(choices), rng.randrange(1, 4))}
@@ -179,8 +184,11 @@ class Soak:
             self.rig.until(answer.done, what=f"an answer to {part}")
             result = answer.result().result
             assert result.successful, f"frame {self.frames}: {part} refused: {result.reason}"
-        if "process" in values:
-            first_mask(self.rig)  # another depth of the queue is another subscription, which has to be found
+        if "depth_image_transport" in values:
+            raw = values["depth_image_transport"] == "raw"
+            self.rig.depth, self.rig.codec = (self.raw, "") if raw else (self.packed, self.rng.choice(("png", "rvl")))
+        if "process" in values or "depth_image_transport" in values:
+            first_mask(self.rig)  # another topic or depth of the queue is another subscription, which has to be found
 
     # Frames
 
@@ -198,7 +206,7 @@ class Soak:
         stamp = self.rig.next_stamp()
         height, width = depth.shape
         self.rig.info.publish(info_msg(width, height, stamp, FOCAL * width / 64))
-        self.rig.depth.publish(image_msg(depth, stamp))
+        self.rig.depth.publish(self.rig.depth_msg(depth, stamp))
         mask = self.rig.mask_of(stamp, timeout=60.0)
         self.frames += 1
         for heard in (*self.rig.masks.values(), self.rig.timings, self.rig.infos):

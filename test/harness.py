@@ -115,7 +115,7 @@ class Rig:
         self.node: ShadowNode | None = None
         self.stamp = 1_000_000_000_000
         mesh_qos = reliable(1, DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
-        self._codec = codec
+        self.codec = codec
         kind, topic = (CompressedImage, "/compressedDepth") if codec else (Image, "")
         self.depth = self.friend.create_publisher(kind, f"depth/image_rect{topic}", reliable())
         self.info = self.friend.create_publisher(CameraInfo, "depth/camera_info", reliable())
@@ -274,9 +274,12 @@ class Rig:
         stamp = self.next_stamp() if stamp is None else stamp
         if info:
             self.info.publish(info_msg(depth.shape[1], depth.shape[0], stamp, frame=frame))
-        packed = self._codec and compressed_msg(depth, stamp, frame, self._codec)
-        self.depth.publish(packed or image_msg(depth, stamp, frame))
+        self.depth.publish(self.depth_msg(depth, stamp, frame))
         return stamp
+
+    def depth_msg(self, depth: np.ndarray, stamp: int, frame: str = "camera") -> Image | CompressedImage:
+        """A depth image as it is sent now, packed or not."""
+        return compressed_msg(depth, stamp, frame, self.codec) if self.codec else image_msg(depth, stamp, frame)
 
     def mask_of(self, stamp: int, light: str = "", timeout: float = TIMEOUT) -> np.ndarray:
         """Wait for the mask with this stamp; (H, W) uint8."""
