@@ -214,7 +214,9 @@ class Rig:
         if service not in self._clients:
             self._clients[service] = self.friend.create_client(kind, service)
         client = self._clients[service]
-        self.until(client.service_is_ready, what=f"{service} is there")
+        self.until(
+            client.service_is_ready, 3 * TIMEOUT, f"{service} is there"
+        )  # discovery can take long on a busy host
         return client.call_async(kind.Request() if request is None else request)
 
     def call(self, kind: Any, service: str, request: Any = None, timeout: float = TIMEOUT) -> Any:

@@ -147,6 +147,7 @@ def test_tracers_and_depth_cameras_mend(owner: str, monkeypatch: pytest.MonkeyPa
     assert seen
 
 
+@pytest.mark.slow
 def test_a_program_starts_with_a_damaged_cache(tmp_path: Path) -> None:
     """From end to end: all files of the module that decides are cut short."""
     ShadowTracer("brute_force", device="cpu", bounds=Bounds(max_triangles=10, max_rays=10)).warm_up()
