@@ -74,6 +74,17 @@ def test_versions_agree(setup_arguments: dict[str, Any], manifest: ElementTree.E
     assert {setup_arguments["version"], manifest.findtext("version"), newest.group(1)} == {setup_arguments["version"]}
 
 
+def test_citation_agrees(setup_arguments: dict[str, Any], manifest: ElementTree.Element) -> None:
+    """CITATION.cff has what its format requires, and names, version, date and licence that stand elsewhere too."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["cff-version"] == "1.2.0" and citation["message"] and citation["abstract"]
+    assert (citation["title"], citation["license"]) == (NAME, setup_arguments["license"])
+    assert citation["version"] == setup_arguments["version"]
+    assert citation["authors"] == [{"name": setup_arguments["author"]}]
+    assert manifest.findtext("maintainer") == setup_arguments["author"]
+    assert f"{citation['version']} ({citation['date-released']})" in (ROOT / "CHANGELOG.rst").read_text()
+
+
 def test_package_xml_has_what_rep_149_requires(setup_arguments: dict[str, Any], manifest: ElementTree.Element) -> None:
     """Format 3, the required tags, an e-mail address, an existing licence file, the build type."""
     assert (manifest.tag, manifest.get("format")) == ("package", "3")

@@ -25,6 +25,7 @@ NEEDED = {"rclpy": "ros", "sensor_msgs": "ros", "rich": "demo", "PIL": "demo"}
 # what a machine without a CUDA device answers in half a minute, and one with it in less
 CPU_FRAMES, CPU_SIZE = 40, (640, 480)
 CUDA_FRAMES, CUDA_SIZE = 72, (640, 480)
+ANIMATION_HEIGHTS = (60, 1080)
 
 
 def missing() -> str:
@@ -61,7 +62,7 @@ def perform(chosen: argparse.Namespace) -> None:
         report = Report()
         processes.start("node", "shadow_tracer.ros.node", "--ros-args", "--params-file", str(path))
         processes.start("publisher", "shadow_tracer.apps.publisher", *_publisher_arguments(chosen), on_line=report.hear)
-        recording = Recorder(sequence, processes, report).run(console)
+        recording = Recorder(sequence, processes, report, chosen.animation_height).run(console)
     facts = _facts(sequence, recording)
     table = stage_times.rows(recording.times)
     saved = save_portrait(recording.still, sequence, chosen.output, [str(v) for v in facts.values()])
@@ -131,11 +132,22 @@ def _options() -> argparse.ArgumentParser:
     )
     publisher.options(parser)
     parser.add_argument("--output", type=Path, default=Path("demo_output"), metavar="FOLDER", help="where pictures go")
+    parser.add_argument(
+        "--animation-height", type=_height, default=360, metavar="PIXELS", help="height of shadows.gif (default: 360)"
+    )
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda:N (default: auto)")
     parser.add_argument("--pipeline", default="light_grid", choices=list(pipelines), help="default: light_grid")
     variants = sorted({variant for names in pipelines.values() for variant in names})
     parser.add_argument("--variant", default="", choices=["", *variants], help="default: the first of the pipeline")
     return parser
+
+
+def _height(text: str) -> int:
+    """Pixels of a text such as 360."""
+    low, high = ANIMATION_HEIGHTS
+    if not text.isdecimal() or not low <= int(text) <= high:
+        raise argparse.ArgumentTypeError(f"animation-height: expected {low} to {high} pixels, got {text!r}")
+    return int(text)
 
 
 def _fill_in(chosen: argparse.Namespace) -> None:

@@ -16,7 +16,7 @@ from shadow_tracer.apps.collector import Collector, Shot
 from shadow_tracer.apps.processes import Processes
 from shadow_tracer.apps.sequence import Sequence
 from shadow_tracer.apps.stage_times import WAY
-from shadow_tracer.apps.studio import Studio
+from shadow_tracer.apps.studio import PANEL_HEIGHT, Studio
 
 LINGER = 5.0
 
@@ -83,13 +83,14 @@ class Recorder:
         sequence: what is played.
         processes: where "node" and "publisher" run.
         report: what the publisher has said so far.
+        height: of the frames of the animation, in pixels.
     """
 
-    def __init__(self, sequence: Sequence, processes: Processes, report: Report) -> None:
+    def __init__(self, sequence: Sequence, processes: Processes, report: Report, height: int = PANEL_HEIGHT) -> None:
         self._sequence = sequence
         self._processes = processes
         self._report = report
-        self._studio = Studio(sequence)
+        self._studio = Studio(sequence, height)
         self._still: tuple[int, Shot] | None = None
         self._times: list[dict[str, float]] = []
         self._seen = 0

@@ -24,13 +24,15 @@ class Studio:
 
     Args:
         sequence: what is played; gives the lights, the way down and how smooth the depth is.
+        height: of the frames of the animation, in pixels.
 
     Attributes:
         done: how many shots have been shaded.
     """
 
-    def __init__(self, sequence: Sequence) -> None:
+    def __init__(self, sequence: Sequence, height: int = PANEL_HEIGHT) -> None:
         self._sequence = sequence
+        self._height = height
         self._shots: Queue[tuple[int, Shot] | None] = Queue()
         self._panels: dict[int, Image.Image] = {}
         self._error: Exception | None = None
@@ -62,7 +64,7 @@ class Studio:
             while (item := self._shots.get()) is not None:
                 index, shot = item
                 overlay = surface_of(shot, self._sequence).lit(self._sequence.lights, shot.masks)
-                self._panels[index] = pictures.panel(overlay, shot.masks, self._sequence.lights, PANEL_HEIGHT)
+                self._panels[index] = pictures.panel(overlay, shot.masks, self._sequence.lights, self._height)
                 self.done += 1
         except Exception as error:  # raised again where the result is asked for
             self._error = error

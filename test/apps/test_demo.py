@@ -78,6 +78,14 @@ def test_wrong_sizes_are_refused(text: str, capsys: pytest.CaptureFixture[str]) 
     assert "size: must be" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("text", ["59", "1081", "-270", "270.5", "tall", ""])
+def test_wrong_heights_are_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        demo.main([f"--animation-height={text}"])
+    assert ended.value.code == 2
+    assert "animation-height: expected 60 to 1080 pixels" in capsys.readouterr().err
+
+
 def test_size() -> None:
     assert size("640x480") == (640, 480)
 
@@ -218,6 +226,8 @@ def test_demo_end_to_end(tmp_path: Path, child_environment: dict[str, str]) -> N
         "0",
         "--size",
         "96x72",
+        "--animation-height",
+        "90",
         "--device",
         "cpu",
         "--output",
@@ -232,7 +242,7 @@ def test_demo_end_to_end(tmp_path: Path, child_environment: dict[str, str]) -> N
     names |= {f"{light.name}_{kind}.png" for light in sequence.lights for kind in ("mask", "shaded")}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     with Image.open(tmp_path / "out" / "shadows.gif") as gif:
-        assert gif.n_frames == 3
+        assert gif.n_frames == 3 and gif.height == 90
     stages = json.loads((tmp_path / "out" / "stage_times.json").read_text())["stages"]
     assert {"trace", "publish", "total"} <= stages.keys()
     assert all(0 <= times["median_ms"] <= times["p95_ms"] for times in stages.values())
