@@ -15,13 +15,13 @@ from shadow_tracer import Bounds, PointLight, ShadowTracer, available_pipelines
 from shadow_tracer.gpu import cuts, frame_tracer
 
 _VARIANTS = [(name, variant) for name, variants in available_pipelines().items() for variant in variants]
-# Those that follow the paper pass over all triangles again and again where lists are short.
+_DEFAULTS = [(name, variants[0]) for name, variants in available_pipelines().items()]
+# The inner loop takes the default variants and the first sequence.
 _MARKED = [
-    pytest.param(
-        names, id="/".join(names), marks=[pytest.mark.slow] if names[1].startswith(("precise", "spheres")) else []
-    )
+    pytest.param(names, id="/".join(names), marks=[] if names in _DEFAULTS else [pytest.mark.slow])
     for names in _VARIANTS
 ]
+_SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
 _SHARED = [("light_grid", "packed"), ("cone_hierarchy", "linear"), ("brute_force", "filtered"), ("auto", "measured")]
 _RECORDED = [("light_grid", "packed"), ("light_grid", "packed_scalar"), ("cone_hierarchy", "linear_scalar")]
 _FIRST = 50
@@ -53,14 +53,14 @@ def test_sequences_hold_what_they_promise() -> None:
     assert (counts > 1000).all()
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", _SEEDS)
 @pytest.mark.parametrize("bounds", [ROOMY, TIGHT], ids=["roomy", "tight"])
 @pytest.mark.parametrize("names", _MARKED)
 def test_unlike_frames_one_after_the_other(names: tuple[str, str], bounds: Bounds, seed: int) -> None:
     assert _wrong(_tracer(names, bounds), sequences.sequence(seed, 24)) == {}
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", _SEEDS)
 @pytest.mark.parametrize("threads", [2, 3, 4, 8])
 @pytest.mark.parametrize("names", _SHARED, ids="/".join)
 def test_unlike_frames_by_several_threads(names: tuple[str, str], threads: int, seed: int) -> None:
@@ -69,7 +69,7 @@ def test_unlike_frames_by_several_threads(names: tuple[str, str], threads: int, 
     assert _wrong(tracer, sequences.sequence(seed, 24)) == {}
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", _SEEDS)
 @pytest.mark.parametrize("threads", [1, 3])
 def test_pipelines_that_take_turns_in_one_tracer(threads: int, seed: int) -> None:
     """Another pipeline every few frames, and frames traced by a second one in between."""
@@ -82,7 +82,7 @@ def test_pipelines_that_take_turns_in_one_tracer(threads: int, seed: int) -> Non
             assert tracer.verify(step.depth, step.camera, step.lights, step.bias) == 0, number
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", _SEEDS)
 @pytest.mark.parametrize("names", _RECORDED, ids="/".join)
 def test_unlike_frames_recorded(names: tuple[str, str], seed: int) -> None:
     """Each kind of frame twice more, so that it is recorded and replayed."""
@@ -107,7 +107,7 @@ def test_first_frames_of_fresh_tracers(names: tuple[str, str], monkeypatch: pyte
 
 
 @pytest.mark.parametrize("byte", BYTES)
-@pytest.mark.parametrize("names", _VARIANTS, ids="/".join)
+@pytest.mark.parametrize("names", _MARKED)
 def test_memory_that_nobody_has_written(names: tuple[str, str], byte: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """What frames leave unwritten stays poisoned from the allocation on."""
     Poison(monkeypatch, byte)
@@ -115,7 +115,7 @@ def test_memory_that_nobody_has_written(names: tuple[str, str], byte: int, monke
     assert _wrong(_tracer(names, threads=1 + BYTES.index(byte)), steps) == {}
 
 
-@pytest.mark.parametrize("names", _VARIANTS, ids="/".join)
+@pytest.mark.parametrize("names", _MARKED)
 def test_nothing_is_read_that_the_frame_has_not_written(
     names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
