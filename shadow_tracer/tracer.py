@@ -19,7 +19,7 @@ from shadow_tracer.gpu.pipelines import AUTO, available_pipelines, resolve
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, refuse_units, unmasked_depth, valid_points
+from shadow_tracer.scene.checks import LARGEST, BoundsError, positions_of, unmasked_depth, valid_points
 from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
 from shadow_tracer.scene.mesh import Scene
 
@@ -189,7 +189,7 @@ class ShadowTracer:
         Raises:
             ValueError: wrong shape, a value that is not finite (its index is named), or not a light.
         """
-        positions, flat = _positions(points)
+        positions, flat = positions_of(points)
         valid = valid_points(flat)
         if valid is not None:
             bad = int(np.flatnonzero(~valid)[0])
@@ -227,7 +227,7 @@ class ShadowTracer:
             ValueError: an argument is malformed; the message names it.
             BoundsError: more lights than declared.
         """
-        positions, flat = _positions(points)
+        positions, flat = positions_of(points)
         checked = self._check_lights(lights)
         constant = Bias(constant=bias).constant
         valid = valid_points(flat)
@@ -401,18 +401,3 @@ def _check_light(light: Any, field: str) -> None:
     if not isinstance(light, _LIGHTS):
         kinds = "PointLight, SpotLight, DirectionalLight or SphereLight"
         raise ValueError(f"{field}: expected a {kinds}, got {type(light).__name__}")
-
-
-def _positions(points: Any) -> tuple[npt.NDArray[Any], FloatArray]:
-    """``points`` as an array (..., 3), and as float64 (N, 3)."""
-    refuse_units(points, "points")
-    try:
-        masked = isinstance(points, np.ma.MaskedArray)
-        positions = np.asarray(points.astype(np.float64).filled(np.nan) if masked else points)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"points: expected real numbers of shape (..., 3), got {type(points).__name__}") from error
-    if positions.ndim == 0 or positions.shape[-1] != 3 or positions.dtype.kind not in "fiu":
-        raise ValueError(
-            f"points: expected real numbers of shape (..., 3), got shape {positions.shape} of {positions.dtype}"
-        )
-    return positions, np.ascontiguousarray(positions, dtype=np.float64).reshape(-1, 3)

@@ -80,6 +80,21 @@ def all_three(good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     return good[:, 0] & good[:, 1] & good[:, 2]
 
 
+def positions_of(points: Any) -> tuple[npt.NDArray[Any], FloatArray]:
+    """``points`` as an array (..., 3), and as float64 (N, 3) in C order; what is masked is NaN. Raises ValueError."""
+    refuse_units(points, "points")
+    try:
+        masked = isinstance(points, np.ma.MaskedArray)
+        positions = np.asarray(points.astype(np.float64).filled(np.nan) if masked else points)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"points: expected real numbers of shape (..., 3), got {type(points).__name__}") from error
+    if positions.ndim == 0 or positions.shape[-1] != 3 or positions.dtype.kind not in "fiu":
+        raise ValueError(
+            f"points: expected real numbers of shape (..., 3), got shape {positions.shape} of {positions.dtype}"
+        )
+    return positions, np.ascontiguousarray(positions, dtype=np.float64).reshape(-1, 3)
+
+
 def direction3(value: Any, field: str) -> FloatArray:
     """Return ``value`` as three finite numbers that are not all zero (length is kept: the caller normalises)."""
     vector = vector3(value, field)
