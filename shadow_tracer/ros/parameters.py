@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from shadow_tracer import available_pipelines
+from shadow_tracer import Bounds, available_pipelines
 from shadow_tracer.ros.camera_infos import POLICIES
 from shadow_tracer.ros.messages import MILLIMETRE
 from shadow_tracer.ros.parameter_rows import (
@@ -28,6 +28,7 @@ from shadow_tracer.ros.parameter_rows import (
 )
 from shadow_tracer.ros.settings import LIGHT_TYPES, LightSettings, Settings, SunSettings
 from shadow_tracer.ros.sun import parse_time
+from shadow_tracer.scene.bounds import LIMITS
 
 __all__ = [
     "LIGHT_PARAMETERS",
@@ -144,18 +145,18 @@ PARAMETERS: tuple[Parameter, ...] = (
               "none.", low=0, high=1_000_000),
     Parameter("bounds.max_triangles", INTEGER, 1_000_000,
               "Largest number of triangles; a larger mesh is refused whole.",
-              low=1, high=2**31 // 9, read_only=_BUFFER),
+              low=1, high=LIMITS["max_triangles"], read_only=_BUFFER),
     Parameter("bounds.max_rays", INTEGER, 1_310_720,
               "Largest number of pixels of a depth image (1280 x 1024); a larger image gets an unknown mask.",
-              low=1, high=2**31 // 4, read_only=_BUFFER),
+              low=1, high=LIMITS["max_rays"], read_only=_BUFFER),
     Parameter("bounds.max_lights", INTEGER, 16,
-              "Largest number of lights.", low=1, high=64, read_only=_BUFFER),
+              "Largest number of lights.", low=1, high=LIMITS["max_lights"], read_only=_BUFFER),
     Parameter("bounds.queue_capacity", INTEGER, 1_048_576,
               "Sample and triangle pairs that wait for the exact test; fewer cost passes, never an answer.",
-              low=1, high=2**30, read_only=_BUFFER),
+              low=1, high=LIMITS["queue_capacity"], read_only=_BUFFER),
     Parameter("bounds.grid_entries", INTEGER, 4_194_304,
               "Entries of triangles in tiles (pipeline light_grid); fewer cost passes, never an answer.",
-              low=1, high=2**31 - 1, read_only=_BUFFER),
+              low=1, high=LIMITS["grid_entries"], read_only=_BUFFER),
     Parameter("diagnostics_period", DOUBLE, 1.0,
               "Time between two messages on /diagnostics, on a steady clock.", "s", 0.1, 1.0),
 )  # fmt: skip
@@ -257,6 +258,10 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     if not 0.99 <= length <= 1.01:
         raise ParameterError(f"camera_pose: expected a unit quaternion qx qy qz qw, got one of length {length:.6g}")
     lights = tuple(_light(name, values) for name in names)
+    try:
+        Bounds(**{name: checked[f"bounds.{name}"] for name in LIMITS})
+    except ValueError as error:  # of two that do not fit together
+        raise ParameterError(str(error)) from error
     del checked["light_names"]  # lights has them
     checked["mesh.files"] = tuple(file for file in checked["mesh.files"] if file)
     fields = {_FIELDS.get(name, name.replace(".", "_")): value for name, value in checked.items()}

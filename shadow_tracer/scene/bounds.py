@@ -8,6 +8,19 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+# No array has 2^31 elements, so that elements can be counted in 32 bits. The largest are: 12 floats for each triangle and
+# for 128 more of every light; 5 for each ray, of which shares have room for a quarter more; two keys for each entry; a
+# state for each ray and light. The counter of a full queue runs past its capacity, by one for each thread that was late
+# to see it full.
+LIMITS = {
+    "max_triangles": 2**31 // 12 - 128 * 64,
+    "max_rays": 2**28,
+    "max_lights": 64,
+    "queue_capacity": 2**30,
+    "grid_entries": 2**30 - 1,
+}
+_MOST_STATES = 2**30 + 2**29
+
 
 @dataclass(frozen=True)
 class Bounds:
@@ -36,21 +49,15 @@ class Bounds:
     grid_entries: int = 4_194_304
 
     def __post_init__(self) -> None:
-        # No array has 2^31 elements, so that elements can be counted in 32 bits. The largest are: 12 floats for each
-        # triangle and for 128 more of every light; 5 for each ray, of which shares have room for a quarter more; two
-        # keys for each entry. The counter of a full queue runs past its capacity, by one for each thread that was late
-        # to see it full.
-        limits = {"max_triangles": 2**31 // 12 - 128 * 64, "max_rays": 2**28, "max_lights": 64}
-        limits |= {"queue_capacity": 2**30, "grid_entries": 2**30 - 1}
         for item in fields(self):
             value = getattr(self, item.name)
-            limit = limits[item.name]
+            limit = LIMITS[item.name]
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= limit:
                 raise ValueError(f"bounds.{item.name}: expected an integer from 1 to {limit}, got {value!r}")
             object.__setattr__(self, item.name, int(value))
-        states, most = self.max_rays * self.max_lights, 2**30 + 2**29
-        if states > most:
+        states = self.max_rays * self.max_lights
+        if states > _MOST_STATES:
             raise ValueError(
-                f"bounds.max_rays: expected at most {most} for max_rays * max_lights, a state each, got "
+                f"bounds.max_rays: expected at most {_MOST_STATES} for max_rays * max_lights, a state each, got "
                 f"{self.max_rays} * {self.max_lights} = {states}"
             )
