@@ -21,7 +21,7 @@ from shadow_tracer.apps.bag_names import Names
 from shadow_tracer.apps.bag_reader import MESHES, Background, Message, Recording, add_transforms
 from shadow_tracer.apps.bag_writer import Output
 from shadow_tracer.ros import diagnostics
-from shadow_tracer.ros.answer import MOST_BITS, Answer
+from shadow_tracer.ros.answer import MOST_BITS, Answer, published_mask
 from shadow_tracer.ros.frame_queue import FrameQueue, WaitingFrame
 from shadow_tracer.ros.frames import Frames
 from shadow_tracer.ros.lighting import Lighting, LightPose
@@ -225,16 +225,16 @@ class Player:
         header, topic = answer.frame.image.header, self._names.topic
         made = time.perf_counter()
         for light in answer.enabled:
-            self._output.image(topic(f"~/mask/{light}"), now_ns, answer.mask(light), "mono8", header)
-        mask = answer.mask()
-        self._output.image(topic("~/mask"), now_ns, mask, "mono8", header)
+            mask = published_mask(answer, light, self._settings)
+            self._output.image(topic(f"~/mask/{light}"), now_ns, mask, "mono8", header)
+        self._output.image(topic("~/mask"), now_ns, published_mask(answer, None, self._settings), "mono8", header)
         if len(answer.names) <= MOST_BITS:
             bits = answer.bits()
             encoding = "mono8" if bits.dtype == np.uint8 else "16UC1"
             self._output.image(topic("~/light_bits"), now_ns, bits, encoding, header)
         if self._wish.overlay and answer.optics is not None:
             optics = answer.optics
-            picture = overlay(answer.frame.depth, mask, optics.fx, optics.fy, optics.cx, optics.cy)
+            picture = overlay(answer.frame.depth, answer.mask(), optics.fx, optics.fy, optics.cx, optics.cy)
             self._output.image(topic("~/overlay"), now_ns, picture, "rgb8", header)
         if answer.info is not None:
             self._output.message(topic("~/camera_info"), now_ns, answer.info)

@@ -12,7 +12,9 @@ import numpy.typing as npt
 from shadow_tracer import Frame
 from shadow_tracer.ros.diagnostics import Missing
 from shadow_tracer.ros.frame_queue import WaitingFrame
-from shadow_tracer.ros.messages import Intrinsics
+from shadow_tracer.ros.mask_shape import depth_where, inverted, shadow_grown
+from shadow_tracer.ros.messages import DEPTH_ENCODINGS, Intrinsics
+from shadow_tracer.ros.settings import Settings
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import CameraInfo
@@ -59,6 +61,24 @@ class Answer:
             return self.traced.mask(light, unknown=self.unknown_value)
         return np.where(self._measured(), np.uint8(0), np.uint8(self.unknown_value))
 
+    def grown(self, light: str | None, pixels: int) -> Mask:
+        """:meth:`mask` with its shadow grown by so many pixels on every side; unknown pixels stay as they are."""
+        mask = self.mask(light)
+        return mask if self.missing is not None else shadow_grown(mask, self._measured(), pixels)
+
+    def depth(self, lit: bool, pixels: int, unit: float) -> npt.NDArray[Any]:
+        """(H, W) depth image as the camera sent it, valid only where light reaches, or only where none does.
+
+        Args:
+            lit: which of the two; both are invalid where nothing is known.
+            pixels: by how many the shadow has grown before.
+            unit: metres per step of 16UC1 and mono16.
+        """
+        steps = DEPTH_ENCODINGS[self.frame.image.encoding] == "u2"
+        known = self._measured() & (self.missing is None)
+        wanted = known & ((self.grown(None, pixels) > 0) == lit)
+        return depth_where(self.frame.depth, wanted, unit, steps)
+
     def bits(self) -> npt.NDArray[Any]:
         """(H, W) image in which bit i is set where light i of ``names`` reaches: uint8 up to 8 lights, uint16 up to 16.
 
@@ -79,3 +99,9 @@ class Answer:
         depth = self.frame.depth
         measured: npt.NDArray[np.bool_] = np.isfinite(depth) & (depth > 0)
         return measured
+
+
+def published_mask(answer: Answer, light: str | None, settings: Settings) -> Mask:
+    """The mask of a light, or of all together, as it is published: its shadow grown, and inverted, if so wished."""
+    mask = answer.grown(light, settings.mask_dilate)
+    return inverted(mask) if settings.mask_invert else mask

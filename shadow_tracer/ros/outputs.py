@@ -14,11 +14,13 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from shadow_tracer.ros import qos
-from shadow_tracer.ros.answer import MOST_BITS, Answer
+from shadow_tracer.ros.answer import MOST_BITS, Answer, published_mask
 from shadow_tracer.ros.messages import image_message
 from shadow_tracer.ros.overlay import overlay
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.subscriptions import keeps_for_late_joiners
+
+_DEPTHS = {"lit": True, "shadowed": False}
 
 
 class Outputs:
@@ -30,6 +32,7 @@ class Outputs:
         self.info = self._publisher(CameraInfo, "~/camera_info")
         self.bits = self._publisher(Image, "~/light_bits")
         self.overlay = self._publisher(Image, "~/overlay")
+        self.depths = {lit: self._publisher(Image, f"~/depth_{name}") for name, lit in _DEPTHS.items()}
         self.visibility = self._publisher(PointCloud2, "~/query/visibility", qos.burst())
         self.timing = self._publisher(DiagnosticArray, "~/timing", qos.report())
         self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
@@ -48,18 +51,18 @@ class Outputs:
         start = time.perf_counter()
         always = settings.mask_publish == "always"
         images: list[tuple[Publisher, Any, str]] = []
-        for name in answer.enabled:
-            if name in self.lights and (always or _wanted(self.lights[name])):
-                images.append((self.lights[name], answer.mask(name), "mono8"))
-        shown = _wanted(self.overlay)
-        mask = answer.mask() if always or shown or _wanted(self.mask) else None
-        if mask is not None and (always or _wanted(self.mask)):
-            images.append((self.mask, mask, "mono8"))
+        for publisher, light in [(self.mask, None), *((self.lights.get(name), name) for name in answer.enabled)]:
+            if publisher is not None and (always or _wanted(publisher)):
+                images.append((publisher, published_mask(answer, light, settings), "mono8"))
+        for lit, publisher in self.depths.items():
+            if _wanted(publisher):
+                depth = answer.depth(lit, settings.mask_dilate, settings.depth_unit)
+                images.append((publisher, depth, answer.frame.image.encoding))
         if len(answer.names) <= MOST_BITS and (always or _wanted(self.bits)):
             bits = answer.bits()
             images.append((self.bits, bits, "mono8" if bits.dtype == np.uint8 else "16UC1"))
-        if shown:
-            images.append((self.overlay, _overlay(answer, mask), "rgb8"))
+        if _wanted(self.overlay):
+            images.append((self.overlay, _overlay(answer), "rgb8"))
         made = time.perf_counter()
         for publisher, pixels, encoding in images:
             publisher.publish(image_message(pixels, encoding, answer.frame.image))
@@ -79,9 +82,9 @@ def _wanted(publisher: Publisher) -> bool:
     return publisher.get_subscription_count() > 0 or keeps_for_late_joiners(publisher.qos_profile)
 
 
-def _overlay(answer: Answer, mask: Any) -> Any:
+def _overlay(answer: Answer) -> Any:
     depth, optics = answer.frame.depth, answer.optics
     if optics is None:  # nothing is known, which is shown, too; for the relief a guess will do
         height, width = depth.shape
         return overlay(depth, None, width, width, (width - 1) / 2, (height - 1) / 2)
-    return overlay(depth, mask, optics.fx, optics.fy, optics.cx, optics.cy)
+    return overlay(depth, answer.mask(), optics.fx, optics.fy, optics.cx, optics.cy)

@@ -137,6 +137,12 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("mask.publish", STRING, "listened",
               "listened makes and sends a mask only while somebody listens, always sends all of them.",
               allowed=("listened", "always")),
+    Parameter("mask.dilate", INTEGER, 0,
+              "Shadow in masks, depth_lit and depth_shadowed grows by so many pixels on every side; what is unknown "
+              "stays so.", "px", 0, 64),
+    Parameter("mask.invert", BOOL, False,
+              "Masks are 255 in shadow and 0 where light reaches, and 255 - mask.unknown_value where nothing is known: "
+              "for programs that leave out what is 255."),
     Parameter("process", STRING, "latest",
               "latest answers the newest image and drops those before it; every answers each one in order, for "
               "replays.", allowed=("latest", "every")),

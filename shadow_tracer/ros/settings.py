@@ -92,6 +92,8 @@ class Settings:
     front_face_culling: bool
     unknown_value: int
     mask_publish: str
+    mask_dilate: int
+    mask_invert: bool
     process: str
     verify_every: int
     max_triangles: int

@@ -9,9 +9,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 # No array has 2^31 elements, so that elements can be counted in 32 bits. The largest are: 12 floats for each triangle
-# and for 128 more of every light; 5 for each ray, of which shares have room for a quarter more; two keys for each entry;
-# a state for each ray and light. The counter of a full queue runs past its capacity, by one for each thread that was
-# late to see it full.
+# and for 128 more of every light; 5 for each ray, of which shares have room for a quarter more; two keys for each
+# entry; a state for each ray and light. The counter of a full queue runs past its capacity, by one for each thread that
+# was late to see it full.
 LIMITS = {
     "max_triangles": 2**31 // 12 - 128 * 64,
     "max_rays": 2**28,

@@ -25,6 +25,7 @@ WITHOUT_ROS = {
     "test_installed.py",
     "test_health_inputs.py",
     "test_launch.py",
+    "test_mask_shape.py",
     "test_markers.py",
     "test_mesh_collada.py",
     "test_mesh_damage.py",

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import test_node_cameras
-from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, plate, wall
+from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, nanoseconds, plate, wall
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image
 from shape_msgs.msg import Mesh
 from test_parameters import BAD
 
@@ -20,6 +21,7 @@ from shadow_tracer import available_pipelines
 from shadow_tracer.ros.cdr import encode_mesh
 from shadow_tracer.ros.core import StartupError
 from shadow_tracer.ros.diagnostics import DEVICE, ERROR, MESH, OK, PROCESSING, WARN
+from shadow_tracer.ros.mask_shape import shadow_grown
 from shadow_tracer.ros.parameters import LIGHT_PARAMETERS, PARAMETERS, ParameterError, default_of, names_for, row_of
 
 STANDARD = {"pose_source": "parameter", "tf_timeout": 0.0}
@@ -352,6 +354,65 @@ def test_mask_publish(rig: Rig) -> None:
     assert len(sent) == 1
 
 
+def _dark_and_deep() -> np.ndarray:
+    depth = wall()
+    depth[:3] = np.nan
+    return depth
+
+
+def test_mask_dilate(rig: Rig) -> None:
+    rig.send_mesh(*plate())
+    plain, known = rig.trace(_dark_and_deep()), np.isfinite(_dark_and_deep())
+    assert rig.set(mask__dilate=2, mask__unknown_value=7) == ""
+    grown = rig.trace(_dark_and_deep())
+    np.testing.assert_array_equal(grown, np.where(known, shadow_grown(plain, known, 2), 7))
+    assert 100 < (plain[known] == 0).sum() < (grown[known] == 0).sum()
+
+
+def _at(rig: Rig, messages: list[Image], stamp: int) -> Image:
+    """The message of that stamp."""
+    return rig.until(lambda: next((m for m in messages if nanoseconds(m.header.stamp) == stamp), None))
+
+
+def test_mask_invert(rig: Rig) -> None:
+    """All masks, also of what is unknown; what is to be looked at stays."""
+    lamp, overlays = rig.listen_to_light("lamp"), rig.collect(Image, "shadow_tracer/overlay")
+    stamps, masks = [], []
+    for invert in (False, True):
+        assert rig.set(mask__invert=invert) == ""
+        stamps.append(rig.send_frame(_dark_and_deep()))
+        masks.append(rig.mask_of(stamps[-1]))
+    np.testing.assert_array_equal(masks[1], 255 - masks[0])
+    np.testing.assert_array_equal(np.frombuffer(_at(rig, lamp, stamps[1]).data, np.uint8), masks[1].reshape(-1))
+    assert _at(rig, overlays, stamps[0]).data == _at(rig, overlays, stamps[1]).data
+    assert rig.set(camera_info_policy="exact") == ""
+    assert (rig.trace(_dark_and_deep(), info=False) == 255).all(), "unknown is not lit"
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_depth_where_light_reaches_and_where_none_does(rig: Rig, packed: bool) -> None:
+    lit, dark = (rig.collect(Image, f"shadow_tracer/depth_{name}") for name in ("lit", "shadowed"))
+    image = _dark_and_deep()
+    if packed:
+        assert rig.set(depth__unit=0.0005) == ""
+        image = np.nan_to_num(2000.0 * image).astype(np.uint16)
+
+    def traced() -> tuple[np.ndarray, Image, Image]:
+        stamp = rig.send_frame(image)
+        return rig.mask_of(stamp), _at(rig, lit, stamp), _at(rig, dark, stamp)
+
+    mask, *messages = traced()
+    for message, wanted in zip(messages, (mask == 255, (mask == 0) & np.isfinite(_dark_and_deep())), strict=True):
+        assert message.encoding == ("16UC1" if packed else "32FC1") and message.header.frame_id == "camera"
+        found = np.frombuffer(message.data, image.dtype).reshape(image.shape)
+        assert wanted.sum() > 100 and np.array_equal(found[wanted], image[wanted])
+        assert not np.nan_to_num(found[~wanted]).any()
+    assert rig.set(mask__dilate=3, mask__invert=True) == ""
+    inverted, message, _ = traced()
+    found = np.frombuffer(message.data, image.dtype).reshape(image.shape)
+    assert np.array_equal(np.nan_to_num(found) > 0, inverted == 0), "inverting is for masks alone"
+
+
 def test_process(rig: Rig) -> None:
     def answered(count: int) -> int:
         before = len(rig.masks[""])
@@ -525,6 +586,8 @@ SHOWN_BELOW = {
     "depth.unit": test_node_cameras.test_a_unit_gives_the_masks_of_metres,
     "camera_info_policy": test_camera_info_policy,
     "mask.publish": test_mask_publish,
+    "mask.dilate": test_mask_dilate,
+    "mask.invert": test_mask_invert,
     "process": test_process,
     "verify_every": test_verify_every,
     "diagnostics_period": test_diagnostics_period,
