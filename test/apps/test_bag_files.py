@@ -40,6 +40,7 @@ def lone(folder: Path, name: str) -> Path:
 @pytest.mark.parametrize("storage", [MCAP, SQLITE], ids=["mcap", "db3"])
 @pytest.mark.parametrize("mode", [None, *CompressionMode], ids=str)
 @pytest.mark.parametrize("kept", ["folder", "no metadata", "file", "renamed"])
+@pytest.mark.slow
 def test_every_storage_and_compression(
     storage: StoragePlugin, mode: Any, kept: str, tmp_path: Path, expected: list[np.ndarray],
     capsys: pytest.CaptureFixture[str],

@@ -33,6 +33,7 @@ from shadow_tracer.apps.bag_salvage_ros1 import mend_ros1, ros1_is_whole
 
 
 @pytest.mark.parametrize("mode", [None, CompressionMode.STORAGE], ids=str)
+@pytest.mark.slow
 def test_an_mcap_file_that_was_cut_off_anywhere(mode: Any, tmp_path: Path) -> None:
     """What is read is the beginning of what was recorded, byte by byte, and all of it that is whole."""
     whole = (journey().write(tmp_path / "in", MCAP, mode) / "in.mcap").read_bytes()

@@ -105,6 +105,7 @@ def test_one_of_several_nodes(rig: Rig, capsys: pytest.CaptureFixture[str]) -> N
     assert ask(rig, messages, "--node", "shadow_tracer") == 1
 
 
+@pytest.mark.slow
 def test_nobody_there(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["status", "--timeout", "0.2"]) == 1
     out, err = capsys.readouterr()

@@ -62,6 +62,7 @@ DAMAGES = [(suffix, harm) for suffix in (".o", ".meta") for harm in (truncate, e
 
 
 @pytest.mark.parametrize(("suffix", "harm"), DAMAGES, ids=lambda value: getattr(value, "__name__", value))
+@pytest.mark.slow
 def test_a_damaged_module_is_compiled_again(
     folder: Path, suffix: str, harm: Callable[[Path], None], caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -63,6 +63,7 @@ def test_unlike_frames_one_after_the_other(names: tuple[str, str], bounds: Bound
 @pytest.mark.parametrize("seed", _SEEDS)
 @pytest.mark.parametrize("threads", [2, 3, 4, 8])
 @pytest.mark.parametrize("names", _SHARED, ids="/".join)
+@pytest.mark.slow
 def test_unlike_frames_by_several_threads(names: tuple[str, str], threads: int, seed: int) -> None:
     tracer = _tracer(names, (ROOMY, TIGHT)[seed % 2], threads)
     assert tracer.threads == threads

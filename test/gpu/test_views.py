@@ -93,6 +93,7 @@ def _moved(scene: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("scene,eye", views.PROCEDURAL, ids=_IDS)
+@pytest.mark.slow
 def test_full_size(tracer: Any, references: References, scene: str, eye: str) -> None:
     """About 70,000 triangles, 96 x 96 pixels, six lights."""
     view = views.procedural_view(scene, eye, 96)
@@ -104,6 +105,7 @@ def test_full_size(tracer: Any, references: References, scene: str, eye: str) ->
 
 
 @pytest.mark.parametrize("name", views.REAL)
+@pytest.mark.slow
 def test_every_real_mesh(tracer: Any, references: References, name: str) -> None:
     """Through a depth image of it, 64 x 64 pixels, four lights. Of Mars' half million triangles the first 400,000."""
     view = views.real_view(name, 64)

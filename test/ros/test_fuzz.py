@@ -23,6 +23,7 @@ def _log_as_before() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("tried", INPUTS, ids=lambda tried: tried.name.replace(" ", "_"))
+@pytest.mark.slow
 def test_whatever_comes_the_last_good_state_stays(tried: Input) -> None:
     result = fuzz(tried, MESSAGES, seed=5, every=60, judge_memory=False)
     assert not result.wrong

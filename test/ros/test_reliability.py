@@ -48,6 +48,7 @@ def test_a_reliable_camera_is_taken_reliably_from_its_first_image() -> None:
         rig.trace(wall())
 
 
+@pytest.mark.slow
 def test_a_best_effort_camera_is_heard_and_a_reliable_one_later_taken_reliably(
     capfd: pytest.CaptureFixture[str],
 ) -> None:

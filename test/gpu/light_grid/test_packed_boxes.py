@@ -243,6 +243,7 @@ def _variants(device: str) -> tuple[str, ...]:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", [*LIGHTS, *packed_grid.HARD])
 @pytest.mark.parametrize("variant", packed_grid.VARIANTS)
+@pytest.mark.slow
 def test_nothing_hidden_is_rejected_and_nothing_lit_covered(
     any_device: str, variant: str, name: str, seed: int
 ) -> None:

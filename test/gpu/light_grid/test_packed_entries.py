@@ -191,6 +191,7 @@ def test_parts(any_device: str, together: int, graphs: bool) -> None:
 @_forms
 @pytest.mark.parametrize("together", [1, 2, 5])
 @pytest.mark.parametrize("queue", [1, 40])
+@pytest.mark.slow
 def test_parts_with_a_full_queue(any_device: str, variant: str, queue: int, together: int) -> None:
     """Pixels on the triangles themselves, seen from lights in their planes and at their corners."""
     view = _touching()

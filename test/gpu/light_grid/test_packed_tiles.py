@@ -158,6 +158,7 @@ _SIZES = (0, 1, 31, 32, 33, 511, 512, 513, 8191, 8192, 8193, _MOST)
 @_forms
 @pytest.mark.parametrize("light", [NEAR, OUTSIDE, _SUN], ids=lambda light: light.name)
 @pytest.mark.parametrize("kind", _KINDS)
+@pytest.mark.slow
 def test_one_light(any_device: str, variant: str, kind: str, light: Light) -> None:
     most_blocks = 0
     for seed, count in enumerate(_SIZES):
