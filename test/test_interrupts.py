@@ -169,6 +169,7 @@ _CHANGES: dict[str, Callable[[Scene], Any]] = {
 
 
 @pytest.mark.parametrize("change", _CHANGES)
+@pytest.mark.slow
 def test_a_change_of_the_scene_has_happened_or_not(change: str) -> None:
     """Interrupted at every step: the scene is the one before or the one after, and the tracer traces what it holds."""
     steps = Steps()

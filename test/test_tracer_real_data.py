@@ -141,6 +141,7 @@ def test_architecture(tracer: Any, name: str, sun: bool) -> None:
     assert len(points) > 1000 and 0.05 < answer.hidden.mean() <= 1.0
 
 
+@pytest.mark.slow
 def test_conference_has_the_degenerate_triangles_it_is_known_for(tracer: Any) -> None:
     """53,627 triangles of zero area. They cast nothing: without them the bits are the same."""
     vertices, triangles = data.mesh("conference")

@@ -459,6 +459,7 @@ def test_errors(
         ("mesh refused", 0, 0),  # the last good one stays
     ],
 )
+@pytest.mark.slow
 def test_exit_codes(wrong: str, code: int, strict_code: int, tmp_path: Path) -> None:
     """0 only where something is known, with --strict only where all is; the output is written nevertheless."""
     made = BagMaker()

@@ -145,6 +145,7 @@ def test_a_journal_of_a_killed_recorder_counts(journal: str, tmp_path: Path, exp
 
 
 @pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
+@pytest.mark.slow
 def test_a_bag_of_ros1_that_was_cut_off_anywhere(compression: str, tmp_path: Path) -> None:
     file = journey().write_ros1(tmp_path / "in.bag", compression=compression)
     whole, everything, counts = file.read_bytes(), log_of(file), []

@@ -135,6 +135,7 @@ def _far_samples(distance: float) -> Scenario:
 
 
 @pytest.mark.parametrize("distance", [1e3, 1e6, 1e9, 1e12, 1e15])
+@pytest.mark.slow
 def test_far_samples_of_a_small_scene(tracer: Any, distance: float) -> None:
     """The samples are far away, light and triangles small and together: the walk to the scene must not lose its aim."""
     scenario = _far_samples(distance)

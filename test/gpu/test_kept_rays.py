@@ -177,6 +177,7 @@ _WHAT += ("verify", "other image")
         ("auto", {}),
     ],
 )
+@pytest.mark.slow
 def test_whatever_changes_between_frames(
     pipeline: str, more: dict[str, int], threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -83,6 +83,7 @@ def test_a_damaged_module_is_compiled_again(
     assert all((other / "other.o").read_bytes() == b"x" for other in others)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_mended_names_the_folder_and_the_cure(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (file,) = folder.glob("*.o")
     truncate(file)

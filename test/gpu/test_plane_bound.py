@@ -216,6 +216,7 @@ def _judged(frame: FrameBuffers, family: str, seed: int) -> _Judged:
 
 
 @pytest.mark.parametrize("family", near_planes.FAMILIES)
+@pytest.mark.slow
 def test_what_the_filter_is_sure_of_is_so(frame: FrameBuffers, family: str) -> None:
     """A million pairs of each family in all three spellings, with the records of both set-ups."""
     sure, seeds = 0, 24

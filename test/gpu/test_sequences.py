@@ -133,6 +133,7 @@ _COUNTING = [names for names in _VARIANTS if names[0] not in ("mesh_bvh", "auto"
 
 
 @pytest.mark.parametrize("names", _COUNTING, ids="/".join)
+@pytest.mark.slow
 def test_a_frame_takes_what_it_takes_a_fresh_tracer(names: tuple[str, str]) -> None:
     """Where everything is new: the same counters, so that nothing of an earlier frame was even looked at."""
     tracer = _tracer(names)
@@ -146,6 +147,7 @@ def test_a_frame_takes_what_it_takes_a_fresh_tracer(names: tuple[str, str]) -> N
         assert counters[0] == counters[1], number
 
 
+@pytest.mark.slow
 def test_lights_in_passes_of_their_own_take_no_more_passes_together(any_device: str) -> None:
     """One has a single uncertain pair a ray, the other many; what is counted for one is not taken for the other."""
     fan = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)

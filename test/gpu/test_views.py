@@ -52,11 +52,13 @@ def references(tracers: Any) -> References:
 
 
 @pytest.mark.parametrize("scene,eye", views.PROCEDURAL, ids=_IDS)
+@pytest.mark.slow
 def test_small_scenes_equal_the_oracle(tracer: Any, scene: str, eye: str) -> None:
     view, expected = _small(scene, eye)
     view.check(tracer, expected)
 
 
+@pytest.mark.slow
 def test_the_small_scenes_have_everything_in_them() -> None:
     """Every light makes shadow somewhere and reaches somewhere, and all four states occur."""
     for scene in views.SCENES:

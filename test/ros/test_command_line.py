@@ -84,6 +84,7 @@ def test_the_programs_answer_without_ros(module: str) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+@pytest.mark.slow
 def test_a_node_in_the_background_of_a_script_hears_signals(number: signal.Signals, tmp_path: Path) -> None:
     """`sh -c 'node & ...'`: the shell ignores SIGINT for it, and children inherit that."""
     script = f"""

@@ -142,6 +142,7 @@ def _lattice() -> tuple[views.View, np.ndarray]:
 @_EVERY
 @pytest.mark.parametrize("entries", [1, 2, 30])
 @pytest.mark.parametrize("queue", [1, 3, 64])
+@pytest.mark.slow
 def test_few_entries_and_a_small_queue(make: Make, any_device: str, variant: str, queue: int, entries: int) -> None:
     view, expected = _lattice()
     cramped = make(any_device, variant, grid_entries=entries, queue_capacity=queue)
@@ -372,6 +373,7 @@ def _steps(stage: Stage, kind: str) -> list[Callable[[], None]]:
 
 @_EVERY
 @pytest.mark.parametrize("kind", ["lights", "meshes", "alternately", "everything"])
+@pytest.mark.slow
 def test_nothing_is_out_of_date(make: Make, any_device: str, variant: str, kind: str) -> None:
     """Twenty steps; a tracer that has seen them all says what a new one says, and so does the brute force."""
     stage = Stage(len(kind))

@@ -125,6 +125,7 @@ def _on_sphere(kind: str, seed: int) -> Scenario:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", ["vertex", "edge", "triangle", "line of an edge"])
+@pytest.mark.slow
 def test_light_on_a_sphere(tracer: Any, kind: str, seed: int) -> None:
     scenario = _on_sphere(kind, seed)
     scenario.check(tracer)
@@ -167,6 +168,7 @@ def _planes(cells: int, place: str, turned: bool) -> Scenario:
 
 @pytest.mark.parametrize("cells", [1, 2, 5, 8])
 @pytest.mark.parametrize("place", _CROSSING)
+@pytest.mark.slow
 def test_kilometre_planes(tracer: Any, place: str, cells: int) -> None:
     scenario = _planes(cells, place, False)
     scenario.check(tracer)

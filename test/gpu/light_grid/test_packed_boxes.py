@@ -260,6 +260,7 @@ def test_nothing_hidden_is_rejected_and_nothing_lit_covered(
 
 @pytest.mark.parametrize("name", LIGHTS)
 @pytest.mark.parametrize("variant", packed_grid.VARIANTS)
+@pytest.mark.slow
 def test_boxes_decide(any_device: str, variant: str, name: str) -> None:
     """Most that may be rejected is, and much of what may be covered; each step has a share in it, on cube faces and in
     the aligned frustum."""

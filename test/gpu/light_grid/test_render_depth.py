@@ -37,6 +37,7 @@ def test_closest_hit(depth_camera, plain_forms, name):
         ("conference", (1000, 450, 400), (200, 100, -300)),
     ],
 )
+@pytest.mark.slow
 def test_real_meshes(depth_camera, plain_forms, name, eye, target):
     mesh = data.mesh(name)
     camera = look(96, 72, eye, target, 0.9, (0, 1, 0))
