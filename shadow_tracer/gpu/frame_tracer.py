@@ -223,7 +223,7 @@ class FrameTracer:
         return self._trace_all(working, lights, None)
 
     def second_opinion(self, trace: Callable[[], Traced]) -> Traced:
-        """What ``trace`` returns by the second pipeline, kernel by kernel, with triangle records of its own."""
+        """What ``trace`` returns by the second pipeline, kernel by kernel, with separate triangle records."""
         team, second, graphs = self._team, self._second, self._use_graphs
         assert second is not None and second not in team
         self._context.records.forget()
@@ -235,7 +235,7 @@ class FrameTracer:
         return traced
 
     def _begin_frame(self) -> None:
-        """Times begin anew."""
+        """Reset the times of all stages."""
         self._cold = False
         for share in self._all_shares():
             share.stages.reset()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of a mask before it is published, and depth where a mask says lit or shadowed. No ROS here."""
+"""How a mask is changed before it is published, and depth where a mask says lit or shadowed. No ROS here."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of a mask before it is published. Without ROS."""
+"""How a mask is changed before it is published. Without ROS."""
 
 from __future__ import annotations
 
