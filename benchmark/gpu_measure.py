@@ -31,8 +31,8 @@ from kernel_resources import modules
 from scenes import View
 
 from shadow_tracer import ShadowTracer
-from shadow_tracer.gpu.devices import pick_device
-from shadow_tracer.gpu.stages import Stages
+from shadow_tracer.gpu.device.devices import pick_device
+from shadow_tracer.gpu.device.stages import Stages
 
 _WARM_UP = 4  # frames: the first launches, the second records, and all caches have been filled
 _TOO_MANY_PAIRS = {"cpu": 2e9, "cuda": 2e11}  # for brute force: a few seconds

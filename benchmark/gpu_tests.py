@@ -20,13 +20,13 @@ from report import ROOT
 
 # The most telling first: what does not fit into the time is left out from the end.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "arithmetic": ("test/gpu/test_exact.py", "test/gpu/test_blocks.py"),
+    "arithmetic": ("test/gpu/exact/test_determinant.py", "test/gpu/exact/test_blocks.py"),
     "frames": (
-        "test/gpu/test_transfers.py",
-        "test/gpu/test_scene_buffers.py",
+        "test/gpu/device/test_transfers.py",
+        "test/gpu/occluders/test_world.py",
         "test/test_tracer_trace.py",
         "test/test_tracer_motion.py",
-        "test/gpu/test_graphs.py",
+        "test/gpu/device/test_graphs.py",
     ),
     "cases of every pipeline": (
         "test/gpu/test_ties.py",
@@ -37,8 +37,12 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "closed surfaces": ("test/gpu/test_watertight.py", "test/gpu/test_front_face_culling.py"),
     "soups": ("test/gpu/test_soups.py", "test/gpu/test_fuzz.py"),
-    "light grid": ("test/gpu/light_grid",),
-    "cone hierarchy": ("test/gpu/cone_hierarchy",),
+    "grids": tuple(f"test/gpu/accelerators/{grid}_grid" for grid in ("light", "spherical", "camera")),
+    "cone hierarchies": tuple(f"test/gpu/accelerators/{kind}_hierarchy" for kind in ("cone", "paper")),
+    "hard cases of grids and trees": tuple(
+        f"test/gpu/accelerators/test_{name}.py"
+        for name in ("crowds", "directions", "lights_on_triangles", "pitfalls", "small_queues", "stadium", "walls")
+    ),
     "points and bounds": (
         "test/test_tracer_occluded.py",
         "test/test_tracer_states_at.py",

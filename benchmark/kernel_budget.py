@@ -35,34 +35,38 @@ _ANGLES = "the paper's variants: sine and cosine of any angle keep 28 B each thr
 # Module (below shadow_tracer.gpu) / kernel.
 EXCEPTIONS = {
     # One thread takes a run of elements there, in arrays that the CPU keeps in its first cache.
-    "brute_force/test_all_blocks": Budget(64, 9300, reason=_CPU),
-    "sort/sort_pairs_cpu": Budget(64, 16400, reason=_CPU),
-    "participants/admit_blocks": Budget(64, 288, reason=_CPU),
-    "cone_hierarchy.keys/pack_keys": Budget(144, 96, reason=_CPU),
-    "cone_hierarchy.keys/measure_extent_wide": Budget(136, 192, reason=_CPU),
-    "cone_hierarchy.breadth_first/traverse": Budget(128, 48, reason=_CPU),
-    "wide_tree/collapse": Budget(64, 48, reason=_CPU),
+    "accelerators.brute_force.brute_force/test_all_blocks": Budget(64, 9300, reason=_CPU),
+    "device.sort/sort_pairs_cpu": Budget(64, 16400, reason=_CPU),
+    "accelerators.participants/admit_blocks": Budget(64, 288, reason=_CPU),
+    "accelerators.ray_keys/pack_keys": Budget(144, 96, reason=_CPU),
+    "accelerators.ray_keys/measure_extent_wide": Budget(136, 192, reason=_CPU),
+    "accelerators.paper_hierarchy.breadth_first/traverse": Budget(128, 48, reason=_CPU),
+    "accelerators.bvh.wide_tree/collapse": Budget(64, 48, reason=_CPU),
     # The signs of determinants, exactly.
-    "shadow_test/resolve_queue": Budget(112, 848, reason=_EXACT),
-    "brute_force/test_all_float64": Budget(104, 848, reason="the oracle: " + _EXACT),
-    "triangle_setup/prepare_triangles": Budget(136, 720, reason="float64 planes, and " + _EXACT),
-    "light_grid.primary_hit/trace_pixels": Budget(128, 816, reason="decides ties in place: " + _EXACT),
+    "visibility.queue/resolve_queue": Budget(112, 848, reason=_EXACT),
+    "accelerators.brute_force.brute_force/test_all_float64": Budget(104, 848, reason="the oracle: " + _EXACT),
+    "exact.records/prepare_triangles": Budget(136, 720, reason="float64 planes, and " + _EXACT),
+    "accelerators.camera_grid.hit/trace_pixels": Budget(128, 816, reason="decides ties in place: " + _EXACT),
     # Triangles against tiles, boxes or cones.
-    "light_grid.binning/bin_triangles": Budget(96, 240, reason="a triangle's planes, and bounds indexed by face axis"),
-    "light_grid.binning/bin_items": Budget(96, 240, reason="the same code for pieces of large triangles"),
-    "light_grid.binning/itemise_triangles": Budget(64, 96, reason="the same bounds, to find large triangles only"),
-    "cone_hierarchy.descent/descend_triangles": Budget(88, 144, reason=_WALK),
-    "cone_hierarchy.descent/descend_big": Budget(80, reason=_WALK),
-    "cone_hierarchy.breadth_first/expand": Budget(128, 48, reason=_ANGLES + "; " + _WALK),
-    "cone_hierarchy.cones/build_parents_of_rays": Budget(64, 48, reason=_ANGLES),
-    "cone_hierarchy.cones/build_level": Budget(64, 48, reason=_ANGLES),
-    "light_grid.spherical_cells/cover_tiles": Budget(80, 48, reason=_ANGLES),
-    "light_grid.spherical_rays/place_tiles": Budget(64, 48, reason=_ANGLES),
+    "accelerators.light_grid.binning/bin_triangles": Budget(
+        96, 240, reason="a triangle's planes, and bounds indexed by face axis"
+    ),
+    "accelerators.light_grid.binning/bin_items": Budget(96, 240, reason="the same code for pieces of large triangles"),
+    "accelerators.light_grid.binning/itemise_triangles": Budget(
+        64, 96, reason="the same bounds, to find large triangles only"
+    ),
+    "accelerators.cone_hierarchy.descent/descend_triangles": Budget(88, 144, reason=_WALK),
+    "accelerators.cone_hierarchy.descent/descend_big": Budget(80, reason=_WALK),
+    "accelerators.paper_hierarchy.breadth_first/expand": Budget(128, 48, reason=_ANGLES + "; " + _WALK),
+    "accelerators.paper_hierarchy.cones/build_parents_of_rays": Budget(64, 48, reason=_ANGLES),
+    "accelerators.paper_hierarchy.cones/build_level": Budget(64, 48, reason=_ANGLES),
+    "accelerators.spherical_grid.cells/cover_tiles": Budget(80, 48, reason=_ANGLES),
+    "accelerators.spherical_grid.rays/place_tiles": Budget(64, 48, reason=_ANGLES),
     # Rays through the tree of triangles: a stack of 64 nodes, and the pairs to be decided exactly.
-    "mesh_bvh/walk": Budget(72, 336, reason="a stack of 64 nodes, and up to five uncertain triangles"),
+    "accelerators.bvh.mesh_bvh/walk": Budget(72, 336, reason="a stack of 64 nodes, and up to five uncertain triangles"),
     # Float64 per pixel.
-    "projection/project_samples": Budget(96, reason="float64: a light's frame and the sample in it"),
-    "unproject/unproject": Budget(80, reason="float64: the camera's pose and the sample"),
+    "samples.rays/project_samples": Budget(96, reason="float64: a light's frame and the sample in it"),
+    "samples.pixels/unproject": Budget(80, reason="float64: the camera's pose and the sample"),
 }
 
 

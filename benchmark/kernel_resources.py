@@ -3,7 +3,7 @@
 
 Prints registers, local frame and shared memory of all kernels beside their budget (``kernel_budget.py``), and how many
 threads of 2,048 a multiprocessor can run of it with blocks of 256. Exit code 1 if one is over its budget.
-``test/gpu/test_kernel_resources.py`` holds the same.
+``test/gpu/device/test_kernel_resources.py`` holds the same.
 """
 
 from __future__ import annotations

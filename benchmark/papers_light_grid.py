@@ -30,7 +30,7 @@ from pictures_counts import count_spherical
 from report import header, table, threads, write_json
 
 from shadow_tracer import Camera, PointLight
-from shadow_tracer.gpu.light_grid import spherical
+from shadow_tracer.gpu.accelerators.spherical_grid import spherical
 
 _THRESHOLDS = (32, 64, 128, 256, 512)
 _UNLIMITED = 1 << 22
@@ -94,8 +94,8 @@ class Spherical:
     def __init__(self, bench: Bench, rays: int, threshold: int) -> None:
         self.grid: Any = None
 
-        def make(context: Any) -> Any:
-            self.grid = original(context, max(1, rays // _TILES), _CELLS, threshold)
+        def make(variant: str, context: Any) -> Any:
+            self.grid = original(variant, context, max(1, rays // _TILES), _CELLS, threshold)
             return self.grid
 
         original = spherical.SphericalGrid

@@ -21,8 +21,8 @@ from report import table
 from scenes import views
 
 from shadow_tracer import Bounds, Scene
-from shadow_tracer.gpu.devices import pick_device
-from shadow_tracer.gpu.light_grid.primary import PrimaryRays
+from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays
+from shadow_tracer.gpu.device.devices import pick_device
 
 # The paper's Table 1: triangles in thousands, structure and tracing of primary rays, a frame with shadows [ms].
 PAPER = {

@@ -19,15 +19,15 @@ from pictures import Picture, demo_workshop, living_room
 from report import table
 
 from shadow_tracer import Bounds, DepthCamera, Frame, PointLight, Scene, ShadowTracer, SpotLight
-from shadow_tracer.gpu.devices import pick_device
-from shadow_tracer.gpu.light_grid.binning import Bins
-from shadow_tracer.gpu.light_grid.primary import PrimaryRays, Seen
-from shadow_tracer.gpu.light_grid.primary_hit import Sorted, tile_may_meet
-from shadow_tracer.gpu.light_grid.primary_setup import Grid
-from shadow_tracer.gpu.light_grid.spherical_rays import Tiles as AngleTiles
-from shadow_tracer.gpu.light_grid.spherical_rays import cell_of
-from shadow_tracer.gpu.light_grid.tiles import Tiles
-from shadow_tracer.gpu.shadow_test import YES, filter_pair, ray_magnitude
+from shadow_tracer.gpu.accelerators.camera_grid.hit import Sorted, tile_may_meet
+from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays, Seen
+from shadow_tracer.gpu.accelerators.camera_grid.setup import Grid
+from shadow_tracer.gpu.accelerators.light_grid.binning import Bins
+from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
+from shadow_tracer.gpu.accelerators.spherical_grid.rays import Tiles as AngleTiles
+from shadow_tracer.gpu.accelerators.spherical_grid.rays import cell_of
+from shadow_tracer.gpu.device.devices import pick_device
+from shadow_tracer.gpu.exact.decision import YES, filter_pair, ray_magnitude
 
 
 @wp.kernel(enable_backward=False)

@@ -26,8 +26,8 @@ from report import compact, header, table, threads, write_json
 from scenes import STANDARD, View, names, views
 
 from shadow_tracer import Bounds, DepthCamera, Scene
-from shadow_tracer.gpu.devices import pick_device
-from shadow_tracer.gpu.light_grid.primary import PrimaryRays
+from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays
+from shadow_tracer.gpu.device.devices import pick_device
 
 _MOST_DIFFERENT = 2e-3
 _COUNTERS = ("entries", "largest_tile", "tests", "retested", "compared")

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from suite_settings import Clock, Rows, Settings
 
-from shadow_tracer.gpu.devices import pick_device
+from shadow_tracer.gpu.device.devices import pick_device
 
 _MEGA = 1e-6
 _PEERS = ("wp.Mesh", "Embree")

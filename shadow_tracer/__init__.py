@@ -2,7 +2,7 @@
 """Which pixels of a depth image does each light reach? Exact shadows of moving meshes at camera rate."""
 
 from shadow_tracer.depth_camera import DepthCamera, render_depth
-from shadow_tracer.gpu.pipelines import available_pipelines
+from shadow_tracer.gpu.accelerators.registry import available_pipelines
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import BoundsError

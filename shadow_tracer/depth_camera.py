@@ -16,7 +16,7 @@ from shadow_tracer.scene.checks import BoundsError
 from shadow_tracer.scene.mesh import Scene
 
 if TYPE_CHECKING:
-    from shadow_tracer.gpu.light_grid.primary import PrimaryRays, Seen
+    from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays, Seen
 
 DepthAndTriangle = tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]
 
@@ -43,8 +43,8 @@ class DepthCamera:
     def __init__(self, device: str | None = None, bounds: Bounds | None = None) -> None:
         self._bounds = bounds or Bounds()
         try:
-            from shadow_tracer.gpu import devices, seats
-            from shadow_tracer.gpu.light_grid.primary import PrimaryRays
+            from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays
+            from shadow_tracer.gpu.device import devices, seats
         except ModuleNotFoundError as error:
             if error.name != "warp":
                 raise

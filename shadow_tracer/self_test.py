@@ -18,12 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.frame import Frame
-from shadow_tracer.gpu.pipelines import available_pipelines, resolve
+from shadow_tracer.gpu.accelerators.registry import available_pipelines, resolve
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.lights import DirectionalLight, PointLight, SpotLight
 from shadow_tracer.tracer import ShadowTracer
+from shadow_tracer.visibility import Frame
 
 _REFERENCE = "brute_force"
 # Of the reference's states, frame after frame and light after light. test/test_self_test.py has the oracle's word for

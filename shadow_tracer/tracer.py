@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.frame import Frame, State
-from shadow_tracer.gpu.pipelines import AUTO, available_pipelines, resolve
+from shadow_tracer.gpu.accelerators.registry import AUTO, available_pipelines, resolve
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import LARGEST, BoundsError, positions_of, unmasked_depth, valid_points
 from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
 from shadow_tracer.scene.mesh import Scene
+from shadow_tracer.visibility import Frame, State
 
 _HARD = (PointLight, SpotLight, DirectionalLight)
 _LIGHTS = (*_HARD, SphereLight)
@@ -68,7 +68,8 @@ class ShadowTracer:
         names = resolve(pipeline, variant)
         self._bounds = bounds or Bounds()
         try:
-            from shadow_tracer.gpu import devices, engine, workers
+            from shadow_tracer.gpu.device import devices, workers
+            from shadow_tracer.gpu.engine import engine
         except ModuleNotFoundError as error:
             if error.name != "warp":
                 raise

@@ -48,7 +48,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     how: list[str] = []
     if config.getoption("--kernel-form"):
-        assert "shadow_tracer.gpu.forms" not in sys.modules, "the form is chosen once, before anything asks for it"
+        assert "shadow_tracer.gpu.device.forms" not in sys.modules, (
+            "the form is chosen once, before anything asks for it"
+        )
         os.environ["SHADOW_TRACER_FORM"] = config.getoption("--kernel-form")
         how.append(f"kernel form: {config.getoption('--kernel-form')}")
     if config.getoption("--task-order"):

@@ -12,7 +12,7 @@ import geometry
 import numpy as np
 
 from shadow_tracer import DirectionalLight, PointLight
-from shadow_tracer.gpu.light_frame import Anchor, make_light_frame
+from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
 
 EACH = 16  # samples per triangle
 _U, _SETUP = 2.0**-24, 2.0**-46

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer import DirectionalLight, PointLight
-from shadow_tracer.gpu.shadow_test import decide
+from shadow_tracer.gpu.exact.decision import decide
 from shadow_tracer.scene.lights import Light
 
 SPREADS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2, 0.1, 0.5, 1.0, 1.4, 1.5697, 1.8, 2.5, np.pi)

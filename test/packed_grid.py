@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from shadow_tracer import Bounds, PointLight, ShadowTracer
-from shadow_tracer.gpu.light_frame import Anchor, make_anchor, make_light_frame
-from shadow_tracer.gpu.light_grid.tiles import LOOKUP, QUANTITIES, Tiles
-from shadow_tracer.gpu.passes import Pass
+from shadow_tracer.gpu.accelerators.light_grid.tiles import LOOKUP, QUANTITIES, Tiles
+from shadow_tracer.gpu.exact.light_frame import Anchor, make_anchor, make_light_frame
+from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.scene.lights import Light
 
 VARIANTS = ("packed", "packed_scalar")

@@ -13,7 +13,7 @@ def wide(device: str) -> bool:
     """Whether kernels on ``device`` take the form of the CPU, not that of a CUDA thread."""
     import warp as wp
 
-    from shadow_tracer.gpu import forms  # not before conftest.py has chosen the form
+    from shadow_tracer.gpu.device import forms  # not before conftest.py has chosen the form
 
     return forms.wide(wp.get_device(device))
 

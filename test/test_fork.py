@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, depth_camera, render_depth
-from shadow_tracer.gpu import frame_tracer, seats
-from shadow_tracer.gpu.workers import Workers
+from shadow_tracer.gpu.device import seats
+from shadow_tracer.gpu.device.workers import Workers
+from shadow_tracer.gpu.engine import frame
 
 _BOUNDS = Bounds(max_triangles=1000, max_rays=400_000, max_lights=2, queue_capacity=4096, grid_entries=65536)
 _CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -69,19 +70,19 @@ def test_a_fork_in_the_middle_of_a_frame(threads: int, monkeypatch: pytest.Monke
     """Another thread of the parent is tracing; in the child its frame never ends."""
     tracer, inside, may_end = _tracer(threads), threading.Event(), threading.Event()
     expected = _lit(tracer)
-    launch = frame_tracer.FrameTracer._launch
+    launch = frame.FrameTracer._launch
 
     def waits(this: Any, *arguments: Any) -> None:
         inside.set()
         assert may_end.wait(2 * _PATIENCE)
         launch(this, *arguments)
 
-    monkeypatch.setattr(frame_tracer.FrameTracer, "_launch", waits)
+    monkeypatch.setattr(frame.FrameTracer, "_launch", waits)
     thread = threading.Thread(target=_lit, args=(tracer,))
     thread.start()
     try:
         assert inside.wait(_PATIENCE)
-        monkeypatch.setattr(frame_tracer.FrameTracer, "_launch", launch)
+        monkeypatch.setattr(frame.FrameTracer, "_launch", launch)
         assert _in_child(lambda: _lit(tracer)) == expected
     finally:
         may_end.set()

@@ -16,37 +16,60 @@ _PACKAGE = _ROOT / "shadow_tracer"
 _MODULES = sorted(_PACKAGE.rglob("*.py"))
 _IDS = [path.relative_to(_ROOT).as_posix() for path in _MODULES]
 
-# What each room may use of the package, by the start of the module's name. What is not listed, the room may not import.
-_MAY_USE = {
-    "scene": ("shadow_tracer.scene",),
-    "gpu": ("shadow_tracer.gpu", "shadow_tracer.scene"),
-    "frame": ("shadow_tracer.gpu.packed_states", "shadow_tracer.scene"),
-    "tracer": ("shadow_tracer.frame", "shadow_tracer.gpu", "shadow_tracer.scene"),
-    "self_test": ("shadow_tracer.frame", "shadow_tracer.tracer", "shadow_tracer.gpu.pipelines", "shadow_tracer.scene"),
-    "__init__": (
-        "shadow_tracer.frame",
-        "shadow_tracer.tracer",
-        "shadow_tracer.depth_camera",
-        "shadow_tracer.gpu.pipelines",
+# What each room may use of the package beside itself, by the start of the module's name. What is not listed, the room
+# may not import.
+_GPU = "shadow_tracer.gpu."
+_REGISTRY = _GPU + "accelerators.registry"
+_MAY_USE: dict[str, tuple[str, ...]] = {
+    "scene": (),
+    "gpu/device": ("shadow_tracer.scene.checks",),
+    "gpu/exact": (_GPU + "device", "shadow_tracer.scene"),
+    "gpu/samples": (_GPU + "device", _GPU + "exact", "shadow_tracer.scene"),
+    "gpu/occluders": (_GPU + "device", _GPU + "exact", "shadow_tracer.scene"),
+    "gpu/visibility": (_GPU + "device", _GPU + "exact", _GPU + "samples", "shadow_tracer.scene"),
+    # An accelerator's room may use what lies in accelerators/ itself, and none of its sisters: see below.
+    "gpu/accelerators": (
+        *(_GPU + room for room in ("device", "exact", "samples", "occluders", "visibility")),
         "shadow_tracer.scene",
     ),
-    "depth_camera": ("shadow_tracer.gpu", "shadow_tracer.scene"),
+    "gpu/engine": (
+        *(_GPU + room for room in ("device", "exact", "samples", "occluders", "visibility")),
+        _GPU + "accelerators.interface",
+        _REGISTRY,
+        "shadow_tracer.scene",
+    ),
+    "visibility": (_GPU + "visibility.packed_states", "shadow_tracer.scene"),
+    "tracer": (
+        "shadow_tracer.visibility",
+        _REGISTRY,
+        _GPU + "engine",
+        _GPU + "device",
+        _GPU + "visibility",
+        "shadow_tracer.scene",
+    ),
+    "self_test": ("shadow_tracer.visibility", "shadow_tracer.tracer", _REGISTRY, "shadow_tracer.scene"),
+    "depth_camera": (_GPU + "accelerators.camera_grid", _GPU + "device", "shadow_tracer.scene"),
+    "__init__": (
+        "shadow_tracer.visibility",
+        "shadow_tracer.tracer",
+        "shadow_tracer.depth_camera",
+        _REGISTRY,
+        "shadow_tracer.scene",
+    ),
     "ros": (
-        "shadow_tracer.ros",
-        "shadow_tracer.frame",
+        "shadow_tracer.visibility",
         "shadow_tracer.self_test",
         "shadow_tracer.tracer",
-        "shadow_tracer.gpu.pipelines",
+        _REGISTRY,
         "shadow_tracer.scene",
     ),
     "apps": (
-        "shadow_tracer.apps",
         "shadow_tracer.ros",
-        "shadow_tracer.frame",
+        "shadow_tracer.visibility",
         "shadow_tracer.self_test",
         "shadow_tracer.tracer",
         "shadow_tracer.depth_camera",
-        "shadow_tracer.gpu.pipelines",
+        _REGISTRY,
         "shadow_tracer.scene",
     ),
 }
@@ -64,7 +87,7 @@ _ROS = (
 _FOREIGN = {
     "scene": ("warp", *_ROS),
     "gpu": _ROS,
-    "frame": ("warp", *_ROS),
+    "visibility": ("warp", *_ROS),
     "tracer": ("warp", *_ROS),
     "self_test": ("warp", *_ROS),
     "depth_camera": ("warp", *_ROS),
@@ -101,42 +124,57 @@ def _within(name: str, prefixes: tuple[str, ...]) -> bool:
 
 
 def _room(path: Path) -> str:
-    return path.relative_to(_PACKAGE).with_suffix("").parts[0]
+    """Its folder in the package or, in gpu/, the folder there."""
+    parts = path.relative_to(_PACKAGE).with_suffix("").parts
+    return "/".join(parts[:2]) if parts[0] == "gpu" else parts[0]
 
 
 @pytest.mark.parametrize("path", _MODULES, ids=_IDS)
 def test_arrows_run_down(path: Path) -> None:
     room = _room(path)
+    if room == "gpu/__init__":
+        assert not _imports(path) - {"__future__"}
+        return
     assert room in _MAY_USE, f"{room}: a room the house does not know"
+    allowed = (*_MAY_USE[room], f"shadow_tracer.{room.replace('/', '.')}")
     for name in _imports(path):
         if _within(name, ("shadow_tracer",)) and name != "shadow_tracer":
-            # the bare room of an allowed module appears where `from shadow_tracer.gpu import pipelines` is written
-            assert _within(name, _MAY_USE[room]) or any(allowed.startswith(name + ".") for allowed in _MAY_USE[room]), (
+            # the bare room of an allowed module appears where `from shadow_tracer.gpu import engine` is written
+            assert _within(name, allowed) or any(one.startswith(name + ".") for one in allowed), (
                 f"{room} reaches {name}"
             )
         if name == "shadow_tracer":
             assert room in ("ros", "apps"), f"{room} reaches the whole package"
-        assert not _within(name, _FOREIGN[room]), f"{room} imports {name}"
+        assert not _within(name, _FOREIGN[room.split("/")[0]]), f"{room} imports {name}"
 
 
-def test_pipelines_do_not_know_each_other() -> None:
-    from shadow_tracer.gpu.pipelines import REGISTRY
+_ACCELERATORS = sorted(path.parent for path in (_PACKAGE / "gpu" / "accelerators").glob("*/__init__.py"))
 
-    homes = {name: entry.module for name, entry in REGISTRY.items()}
-    for name, module in homes.items():
-        stem = _ROOT / module.replace(".", "/")
-        files = [stem.with_suffix(".py")] if stem.with_suffix(".py").exists() else sorted(stem.rglob("*.py"))
-        assert files, f"{name}: no such module {module}"
-        for path in files:
-            for other, other_module in homes.items():
-                assert other == name or not any(_within(used, (other_module,)) for used in _imports(path)), (
-                    f"{path} reaches {other_module}"
-                )
+
+@pytest.mark.parametrize("folder", _ACCELERATORS, ids=[folder.name for folder in _ACCELERATORS])
+def test_accelerators_do_not_know_each_other(folder: Path) -> None:
+    others = tuple(f"{_GPU}accelerators.{other.name}" for other in _ACCELERATORS if other != folder)
+    for path in sorted(folder.rglob("*.py")):
+        assert not any(_within(name, others) for name in _imports(path)), f"{path} reaches another accelerator"
+
+
+def test_every_variant_is_in_a_room_of_its_kind() -> None:
+    from shadow_tracer.gpu.accelerators.registry import AUTO, REGISTRY
+
+    folders = {folder.name for folder in _ACCELERATORS}
+    for name, entry in REGISTRY.items():
+        for variant, where in entry.classes.items():
+            assert (where is None) == (name == AUTO)
+            assert where is None or where.split(".")[0] in folders, f"{name}/{variant}: no such room"
 
 
 # Who asks a device what it is, for memory, streams, recordings or Warp's own builders. In which form kernels run is
 # asked of ``forms``, so that the CPU can run the form of CUDA.
-_ASKS_THE_DEVICE = ("engine.py", "forms.py", "graphs.py", "mesh_bvh.py", "seats.py", "stages.py", "transfers.py")
+_ASKS_THE_DEVICE = (
+    "accelerators/bvh/mesh_bvh.py",
+    *(f"device/{name}.py" for name in ("forms", "graphs", "seats", "stages", "transfers")),
+    "engine/engine.py",
+)
 
 
 def test_the_form_of_kernels_is_decided_in_one_place() -> None:
@@ -162,18 +200,18 @@ def test_sizes(path: Path) -> None:
 # Who looks inside a tracer. New questions are asked in probe.py by name, so that a change inside breaks one file; this
 # list only gets shorter.
 _LOOKS_INSIDE = {
-    "gpu/cone_hierarchy/test_box_nodes.py",
-    "gpu/light_grid/test_candidates.py",
-    "gpu/light_grid/test_packed_boxes.py",
-    "gpu/light_grid/test_packed_entries.py",
-    "gpu/light_grid/test_spherical.py",
-    "gpu/test_balance.py",
-    "gpu/test_chooser.py",
-    "gpu/test_failures.py",
-    "gpu/test_graphs.py",
-    "gpu/test_kept_rays.py",
-    "gpu/test_shares.py",
-    "gpu/test_threads.py",
+    "gpu/accelerators/cone_hierarchy/test_box_nodes.py",
+    "gpu/accelerators/light_grid/test_candidates.py",
+    "gpu/accelerators/light_grid/test_packed_boxes.py",
+    "gpu/accelerators/light_grid/test_packed_entries.py",
+    "gpu/accelerators/spherical_grid/test_spherical.py",
+    "gpu/engine/test_balance.py",
+    "gpu/engine/test_automatic.py",
+    "gpu/engine/test_failures.py",
+    "gpu/device/test_graphs.py",
+    "gpu/samples/test_kept_rays.py",
+    "gpu/engine/test_shares.py",
+    "gpu/engine/test_threads.py",
     "packed_grid.py",
     "probe.py",
     "test_tracer_bounds.py",

@@ -15,7 +15,8 @@ import pytest
 from interrupts import Ring, Steps, ring_after
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, render_depth
-from shadow_tracer.gpu import cuts, frame_tracer
+from shadow_tracer.gpu.engine import cuts, frame
+from shadow_tracer.gpu.engine import frame as frame_tracer
 from shadow_tracer.scene.mesh import Scene
 
 _SIZE = 128
@@ -205,14 +206,14 @@ def test_a_frame_cannot_begin_within_a_frame(monkeypatch: pytest.MonkeyPatch) ->
     """As when a handler of a signal asks the tracer that is at work: an error, not a wait without end."""
     tracer = _tracer()
     _ask(tracer, "trace")
-    begin = frame_tracer.FrameTracer.trace_depth
+    begin = frame.FrameTracer.trace_depth
 
     def asks_again(this: Any, *arguments: Any) -> Any:
-        monkeypatch.setattr(frame_tracer.FrameTracer, "trace_depth", begin)
+        monkeypatch.setattr(frame.FrameTracer, "trace_depth", begin)
         _ask(tracer, "trace")
         return begin(this, *arguments)
 
-    monkeypatch.setattr(frame_tracer.FrameTracer, "trace_depth", asks_again)
+    monkeypatch.setattr(frame.FrameTracer, "trace_depth", asks_again)
     with pytest.raises(RuntimeError, match="a frame is under way in this thread"):
         _ask(tracer, "trace")
     assert _ask(tracer, "trace") == _right("trace")

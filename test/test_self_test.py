@@ -11,10 +11,10 @@ import oracle
 import pytest
 
 from shadow_tracer import DirectionalLight, SpotLight, State, available_pipelines, self_test
-from shadow_tracer.gpu.brute_force import BruteForce
-from shadow_tracer.gpu.light_grid.packed import PackedGrid
-from shadow_tracer.gpu.mesh_bvh import MeshBvh
-from shadow_tracer.gpu.share import Share
+from shadow_tracer.gpu.accelerators.brute_force.brute_force import BruteForce
+from shadow_tracer.gpu.accelerators.bvh.mesh_bvh import MeshBvh
+from shadow_tracer.gpu.accelerators.light_grid.packed import PackedGrid
+from shadow_tracer.gpu.engine.share import Share
 
 _NAMES = ["brute_force", *(name for name in available_pipelines() if name != "brute_force")]
 

@@ -66,7 +66,7 @@ def test_any_queue_capacity(tracer_case: tuple[str, str, str], capacity: int | N
 
 def test_the_counter_of_a_full_queue_stops(tracer_case: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """It would come round to valid places if it counted more pairs than there are integers."""
-    from shadow_tracer.gpu import share
+    from shadow_tracer.gpu.engine import share
 
     device, pipeline, variant = tracer_case
     lattice, camera, depth = _uncertain()

@@ -21,7 +21,7 @@ from shadow_tracer import (
     SpotLight,
     State,
 )
-from shadow_tracer.gpu import frame_tracer
+from shadow_tracer.gpu.engine import frame
 
 _BOUNDS = Bounds(max_triangles=3000, max_rays=2000, max_lights=4, queue_capacity=4000, grid_entries=20_000)
 _CAMERA = Camera(40, 30, 35.0, 36.0, 19.25, 14.75, geometry.look_at((-8.0, 0.3, 2.0), (0.0, 0.0, 1.0), (0, 0, 1)))
@@ -63,13 +63,13 @@ class _Traces:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.names: list[str] = []
-        original = frame_tracer.FrameTracer.trace_depth
+        original = frame.FrameTracer.trace_depth
 
         def counted(this: Any, *arguments: Any) -> Any:
             self.names.append(type(this._pipeline).__name__)
             return original(this, *arguments)
 
-        monkeypatch.setattr(frame_tracer.FrameTracer, "trace_depth", counted)
+        monkeypatch.setattr(frame.FrameTracer, "trace_depth", counted)
 
 
 @pytest.mark.parametrize("names,against", _PAIRS)
@@ -145,7 +145,7 @@ def test_wrong_records_of_the_first_are_not_inherited(any_device: str) -> None:
     """The second pipeline makes triangle records of its own: damaged ones of the first show."""
     tracer = _tracer("light_grid", any_device)
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])
-    records: Any = tracer._engine.inside._frame.records  # type: ignore[attr-defined]
+    records: Any = tracer._engine.inside._context.records.memory  # type: ignore[attr-defined]
     # Within each record: not all triangles have one, and what lies between is whatever lay there.
     records.assign(np.ascontiguousarray(np.roll(records.numpy(), 1, axis=1)))  # planes in the place of others
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])  # nothing has changed: by the records that are there
@@ -270,7 +270,7 @@ def test_an_answer_is_forgotten_when_the_next_frame_fails(any_device: str, monke
     tracer.prepare_verify()
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     with monkeypatch.context() as patch:
-        patch.setattr(frame_tracer.FrameTracer, "_launch", lambda *_: 1 // 0)
+        patch.setattr(frame.FrameTracer, "_launch", lambda *_: 1 // 0)
         with pytest.raises(ZeroDivisionError):
             tracer.trace(_depth(6), _CAMERA, _LIGHTS)
     traces = _Traces(monkeypatch)

@@ -25,9 +25,10 @@ _TROUBLE = """
 import os, sys
 class Trouble:
     def find_spec(self, name, path=None, target=None):
-        if name == "shadow_tracer.gpu.cone_hierarchy.linear":
+        if name == "shadow_tracer.gpu.accelerators.cone_hierarchy.linear":
             raise RuntimeError("no cones today")
-        if name == "shadow_tracer.gpu.light_grid.spherical" and "gpu_measure" in sys.argv[0] and "measure" in sys.argv:
+        spherical = "shadow_tracer.gpu.accelerators.spherical_grid.spherical"
+        if name == spherical and "gpu_measure" in sys.argv[0] and "measure" in sys.argv:
             os._exit(3)
 sys.meta_path.insert(0, Trouble())
 """

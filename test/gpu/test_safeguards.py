@@ -171,7 +171,7 @@ def test_the_package_passes_the_same_scenes(tracer: Any) -> None:
 def test_a_filter_that_is_always_sure_leaks(any_device: str, pipeline: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The package with the float32 rounding bound of its filter set to nothing: hardly anything is re-tested, and
     the sphere leaks."""
-    from shadow_tracer.gpu import triangle_setup
+    from shadow_tracer.gpu.occluders import seen
 
     vertices, triangles, samples = _sphere()
 
@@ -183,7 +183,7 @@ def test_a_filter_that_is_always_sure_leaks(any_device: str, pipeline: str, monk
         return int((~tracer.occluded(samples, PointLight("lamp", _INSIDE))).sum())
 
     assert leaks() == 0
-    monkeypatch.setattr(triangle_setup, "FILTER_FACTOR", 0.0)
+    monkeypatch.setattr(seen, "FILTER_FACTOR", 0.0)
     assert leaks() > 0, "the watertight test does not notice a filter without a bound"
 
 
@@ -191,10 +191,10 @@ _MUTANT = """
 import sys
 sys.path[:0] = [{root!r}, {test!r}]
 import numpy as np
-from shadow_tracer.gpu import exact
+from shadow_tracer.gpu.exact import determinant
 sure = "if (absolute(value) > 1.0e-15 * permanent)"
-assert exact.DETERMINANT.count(sure) == 1, "the place where float64 is believed has moved: update this test"
-exact.DETERMINANT = exact.DETERMINANT.replace(sure, "if (value == 0.0) return 0; if (permanent >= 0.0)")
+assert determinant.DETERMINANT.count(sure) == 1, "the place where float64 is believed has moved: update this test"
+determinant.DETERMINANT = determinant.DETERMINANT.replace(sure, "if (value == 0.0) return 0; if (permanent >= 0.0)")
 import geometry
 from shadow_tracer import Bounds, PointLight, ShadowTracer
 light = np.array({light!r})

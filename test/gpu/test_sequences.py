@@ -12,7 +12,8 @@ from poison import BYTES, Poison
 from sequences import ROOMY, TIGHT
 
 from shadow_tracer import Bounds, PointLight, ShadowTracer, available_pipelines
-from shadow_tracer.gpu import cuts, frame_tracer
+from shadow_tracer.gpu.engine import cuts
+from shadow_tracer.gpu.engine import frame as frame_tracer
 
 _VARIANTS = [(name, variant) for name, variants in available_pipelines().items() for variant in variants]
 _DEFAULTS = [(name, variants[0]) for name, variants in available_pipelines().items()]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Bounds, Camera, PointLight
-from shadow_tracer.gpu import frame_tracer
+from shadow_tracer.gpu.engine import frame as frame_tracer
 from shadow_tracer.ros import tracer_host
 from shadow_tracer.ros.tracer_host import Outcome, TracerHost
 

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangles sorted into tiles of a camera's image: depth images."""

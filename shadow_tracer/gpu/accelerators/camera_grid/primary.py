@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth images: the closest triangle on every pixel's ray, by the perspective grid of section 3 of the paper.
+
+The image is cut into sorting tiles of 8 x 8 pixels. Triangles go into the lists of the tiles they may be seen in
+(``bins.py``), the rays of a tile test its list (``hit.py``). Indirect mapping: a thread block traces 2
+x 2 sorting tiles, so that it has threads enough although lists stay short.
+
+Two forms with the same bits: plain Warp kernels, one thread per pixel, and for the CPU one that bins in order and
+tests sixteen rays at a time (``wide.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from shadow_tracer.gpu.accelerators.camera_grid.bins import bin_triangles, count_entries, emit_entries, fill_lists
+from shadow_tracer.gpu.accelerators.camera_grid.hit import COUNTERS, Image, Sorted, threads_of, trace_pixels
+from shadow_tracer.gpu.accelerators.camera_grid.setup import Grid, make_camera_frame, pack_triangles
+from shadow_tracer.gpu.accelerators.camera_grid.wide import TILE, trace_tiles
+from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device.transfers import HostValues
+from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.occluders.corners import project_vertex_blocks, project_vertices
+from shadow_tracer.gpu.occluders.seen import prepare
+from shadow_tracer.gpu.occluders.world import SceneBuffers
+from shadow_tracer.scene.bounds import Bounds
+from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.mesh import Scene
+
+_GROUP = 8
+_BLOCK = 2
+_MOST_THREADS = 256
+_FILL_THREADS = 65536
+_VERTICES_AT_ONCE = 256
+_COUNTERS = ("triangles", "degenerate", "entries", "largest_tile", "passes", *COUNTERS)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Result of a frame: (N,) depths [m] and triangles, and counters."""
+
+    depth: npt.NDArray[np.float32]
+    triangle: npt.NDArray[np.int32]
+    counters: dict[str, int]
+
+
+class PrimaryRays:
+    """Renders depth images on one device, with buffers allocated here and never again.
+
+    Args:
+        device: a Warp device.
+        bounds: capacities.
+        wide: whether to use the CPU's form; None: on the CPU. The answers are the same.
+        tile: side of a sorting tile [px]; the CPU's form has 8.
+    """
+
+    def __init__(self, device: Any, bounds: Bounds, wide: bool | None = None, tile: int = TILE) -> None:
+        self._device, self._bounds, self._tile = device, bounds, tile
+        self._wide = forms.wide(device) if wide is None else wide
+        if self._wide and tile != TILE:
+            raise ValueError(f"tile: expected {TILE} for the CPU's form, got {tile}")
+        rays, triangles, entries = bounds.max_rays, bounds.max_triangles, bounds.grid_entries
+        self.scene = SceneBuffers(bounds, device)
+        self._frame = HostValues(LightFrame, 1, device)
+        self._corners = wp.empty(3 * triangles, dtype=wp.vec4, device=device)
+        self._records = wp.empty((triangles, 4), dtype=wp.vec4, device=device)
+        self._planes = wp.empty((triangles, 6), dtype=wp.float64, device=device)
+        self._pairs = wp.empty(entries, dtype=wp.vec2i, device=device)
+        self._lists = wp.empty(entries, dtype=int, device=device)
+        self._ends = None if self._wide else wp.empty(triangles, dtype=wp.int64, device=device)
+        side = tile * _GROUP
+        # A one pixel high image has the most tiles for its pixels.
+        tiles = sum(rays // s**2 + (rays + 1) // s + 2 for s in (tile, side))
+        self._starts = wp.empty(tiles + 1, dtype=int, device=device)
+        self._cursor = wp.zeros(3, dtype=int, device=device)
+        self._degenerate = wp.zeros(64, dtype=int, device=device)
+        self._culled = wp.zeros(64, dtype=int, device=device)
+        self._counters = wp.zeros((64, len(COUNTERS)), dtype=wp.int64, device=device)
+        self._axes = [wp.empty(rays + tile, dtype=t, device=device) for t in (float, float, wp.float64, wp.float64)]
+        self._image = Image()
+        self._image.depth = wp.empty(rays, dtype=float, device=device)
+        self._image.triangle = wp.empty(rays, dtype=int, device=device)
+        self._grid = Grid()
+        self._made_for: Camera | None = None
+
+    def render(self, scene: Scene, camera: Camera) -> Seen:
+        """The closest triangle of every pixel; arguments fit the bounds."""
+        self.scene.sync(scene)
+        count, rays = self.scene.triangle_count, camera.width * camera.height
+        if count == 0:
+            nothing = np.full(rays, np.nan, np.float32), np.full(rays, -1, np.int32)
+            return Seen(*nothing, {"rays": rays, **dict.fromkeys(_COUNTERS, 0)})
+        self._look_from(camera)
+        self._set_up(count)
+        self._counters.zero_()
+        passes = self._passes_in_order(count) if self._wide else self._passes_by_scan(count)
+        depth = self._image.depth.numpy()[:rays].copy()
+        triangle = self._image.triangle.numpy()[:rays].copy()
+        totals = self._counters.numpy().sum(axis=0)
+        degenerate = int(self._degenerate.numpy().sum())
+        values = (count, degenerate, *passes, *(int(total) for total in totals))
+        return Seen(depth, triangle, {"rays": rays, **dict(zip(_COUNTERS, values, strict=True))})
+
+    def nbytes(self) -> int:
+        """Bytes reserved on the device."""
+        arrays = [a for a in vars(self).values() if isinstance(a, wp.array)]
+        arrays += [*self._axes, self._image.depth, self._image.triangle]
+        return int(sum(a.capacity for a in arrays)) + self.scene.nbytes()
+
+    def _look_from(self, camera: Camera) -> None:
+        if camera is self._made_for:
+            return
+        self._made_for = camera
+        self._frame.write([make_camera_frame(camera)])
+        grid, tile = Grid(), self._tile
+        grid.width, grid.height, grid.tile, grid.group = camera.width, camera.height, tile, _GROUP
+        grid.tiles_x, grid.tiles_y = -(-camera.width // tile), -(-camera.height // tile)
+        grid.coarse_x, grid.coarse_y = -(-grid.tiles_x // _GROUP), -(-grid.tiles_y // _GROUP)
+        grid.fx, grid.fy, grid.cx, grid.cy = camera.fx, camera.fy, camera.cx, camera.cy
+        rotation = camera.camera_to_world[:3, :3]
+        grid.position = wp.vec3d(*camera.position)
+        grid.right, grid.down, grid.forward = (wp.vec3d(*rotation[:, k]) for k in range(3))
+        grid.depth_row = wp.vec3d(*np.linalg.inv(rotation)[2])
+        x = (np.arange(grid.tiles_x * tile, dtype=np.float64) - camera.cx) / camera.fx
+        y = (np.arange(grid.tiles_y * tile, dtype=np.float64) - camera.cy) / camera.fy
+        for axis, values in zip(self._axes, (x.astype(np.float32), -y.astype(np.float32), x, y), strict=True):
+            self.scene.upload(axis, values)
+        grid.columns, grid.rows, grid.columns64, grid.rows64 = self._axes
+        self._grid = grid
+
+    def _set_up(self, count: int) -> None:
+        device, scene = self._device, self.scene
+        prepare(self._frame.array, scene, self._records, False, self._degenerate, self._culled)
+        vertices = scene.vertex_count
+        if forms.wide(device):
+            blocks = -(-vertices // _VERTICES_AT_ONCE)
+            inputs = [self._frame.array, vertices, scene.vertices, self._corners]
+            wp.launch(project_vertex_blocks, dim=blocks, inputs=inputs, device=device)
+        else:
+            inputs = [self._frame.array, scene.vertices, self._corners]
+            wp.launch(project_vertices, dim=vertices, inputs=inputs, device=device)
+        inputs = [self._grid, scene.vertices, scene.triangles, self._records, self._planes]
+        wp.launch(pack_triangles, dim=count, inputs=inputs, device=device)
+
+    def _passes_in_order(self, count: int) -> tuple[int, int, int]:
+        grid, device, starts = self._grid, self._device, self._tile_starts()
+        sizes = [self.scene.triangles, self._corners, self._records, self._pairs, starts, self._lists, self._cursor]
+        self._cursor.zero_()
+        passes = entries = largest = 0
+        while passes == 0 or self._cursor.numpy()[0] < count:
+            wp.launch(bin_triangles, dim=1, inputs=[count, grid, *sizes], device=device)
+            inputs = [grid, self._sorted(starts), int(passes > 0), self._image, self._counters]
+            wp.launch(trace_tiles, dim=grid.tiles_y, inputs=inputs, device=device)
+            passes += 1
+            entries += int(self._cursor.numpy()[2])
+            largest = max(largest, self._largest(starts))
+        return entries, largest, passes
+
+    def _passes_by_scan(self, count: int) -> tuple[int, int, int]:
+        grid, device, scene, starts = self._grid, self._device, self.scene, self._tile_starts()
+        assert self._ends is not None
+        ends = self._ends[:count]
+        seen = [scene.triangles, self._corners, self._records]
+        wp.launch(count_entries, dim=count, inputs=[grid, *seen, ends], device=device)
+        wp.utils.array_scan(ends, ends, inclusive=True)
+        capacity, threads = self._bounds.grid_entries, forms.tasks(device, _FILL_THREADS)
+        first = passes = entries = largest = 0
+        while passes == 0 or first < entries:
+            starts.zero_()
+            inputs = [wp.int64(first), grid, *seen, ends, self._pairs, starts]
+            wp.launch(emit_entries, dim=count, inputs=inputs, device=device)
+            wp.utils.array_scan(starts, starts, inclusive=True)
+            inputs = [wp.int64(first), threads, count - 1, ends, self._pairs, starts, self._lists]
+            wp.launch(fill_lists, dim=threads, inputs=inputs, device=device)
+            inputs = [_BLOCK, grid, self._sorted(starts), int(passes > 0), self._image, self._counters]
+            # A thread block is a tracing block, or as much of it as has registers enough.
+            block_dim = min((_BLOCK * self._tile) ** 2, _MOST_THREADS)
+            dim = threads_of(grid, _BLOCK)
+            wp.launch(trace_pixels, dim=dim, inputs=inputs, device=device, block_dim=block_dim)
+            # The host waits only here, when the image of the first pass is done.
+            if passes == 0:
+                entries = int(ends[count - 1 : count].numpy()[0])
+            passes += 1
+            first += capacity
+            largest = max(largest, self._largest(starts))
+        return entries, largest, passes
+
+    def _tile_starts(self) -> wp.array:
+        grid = self._grid
+        return self._starts[: grid.tiles_x * grid.tiles_y + grid.coarse_x * grid.coarse_y + 1]
+
+    def _largest(self, starts: wp.array) -> int:
+        return int(np.diff(starts.numpy()).max())
+
+    def _sorted(self, starts: wp.array) -> Sorted:
+        made = Sorted()
+        made.vertices, made.triangles = self.scene.vertices, self.scene.triangles
+        made.records, made.planes = self._records, self._planes
+        made.starts, made.lists = starts, self._lists
+        return made

@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The triangles that may lie between a light and the rays of a share, and their records, made when first asked for.
+
+A robot's camera mostly sees a small part of what the mesh holds. The rays of a face of the light fill a pyramid: from
+the least to the largest (u, v), no farther along the face's axis than the farthest start, and no farther along Z than
+start and light. Whatever occludes one of them has a point in that pyramid, so sixteen triangles whose box lies beyond
+one of its seven planes have nothing to do with them (``clusters.py``). Records are made for 128 triangles together,
+when a share first wants one of them, and kept as long as light and scene stay; shares that work side by side divide
+them.
+
+Planes are float64 in the world. In units of the anchor's scale they are at fault by less than 2^-48 of the sum of
+magnitudes in them; 2^-40 is allowed. What rays contribute is padded as in ``tiles.py``: (u, v) by 2^-20 (1 + |u|),
+Z and the axis by 2^-20 of the ray's magnitude, of which float32 and set-up are at fault by 2^-24. For the CPU.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
+from shadow_tracer.gpu.device.slices import Slices
+from shadow_tracer.gpu.exact.decision import SIXTEEN
+from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.exact.records import (
+    BLOCK,
+    FILTER_FACTOR,
+    LARGEST_OFFSET,
+    OFFSET_FACTOR,
+    SETUP_ERROR,
+    SLOPE_FACTOR,
+    U32,
+    prepare_block,
+)
+from shadow_tracer.gpu.occluders.clusters import CLUSTER, ClusterBoxes, Clusters, await_made, claim, make_boxes, publish
+from shadow_tracer.gpu.occluders.world import Change
+from shadow_tracer.gpu.samples.passes import Pass
+
+_CLUSTERS = BLOCK // CLUSTER  # of a block of records
+
+
+@wp.struct
+class Candidates:
+    """What is made on demand, for all lights of a pass: light number ``place`` has its blocks behind those of the
+    others."""
+
+    cull: int
+    records: wp.array2d(dtype=wp.vec4)
+    corners: wp.array(dtype=float)  # see prepare_block
+    made: wp.array(dtype=int)  # of each block
+    degenerate: wp.array(dtype=int)  # 64 for each place
+    culled: wp.array(dtype=int)
+
+
+@wp.func_native(
+    "#if !defined(__CUDA_ARCH__)\n"
+    + SIXTEEN
+    + r"""
+    typedef double SixteenDoubles __attribute__((ext_vector_type(16)));
+    const int items = (clusters.triangles + 255) / 256, count = (clusters.triangles + 15) / 16;
+    // U, V, W, Z of a point of the world: three factors and a constant, and the magnitude of what that is a sum of.
+    double factor[4][3], constant[4], magnitude[4];
+    for (int c = 0; c < 4; ++c) {
+        const wp::vec3d& along = c == 0 ? frame.r : c == 1 ? frame.s : frame.f;
+        const double scale = c == 2 ? -frame.w_slope * frame.inverse_scale : frame.inverse_scale;
+        constant[c] = c == 2 ? frame.w_constant : 0.0;
+        magnitude[c] = constant[c];
+        for (int k = 0; k < 3; ++k) {
+            factor[c][k] = scale * along[k];
+            constant[c] -= factor[c][k] * frame.center[k];
+            magnitude[c] += fabs(factor[c][k] * frame.center[k]);
+        }
+    }
+    struct Plane { double normal[3], constant, slack; };
+    Plane plane[6][7];
+    int faces[6], face_count = 0;
+    for (int face = 0; face < 6; ++face) {
+        const int number = 6 * place + face, axis = face >> 1;
+        if (tiles.groups.data[6 * number + 1] == 0)
+            continue;
+        faces[face_count] = face;
+        const wp::vec4 fit = tiles.fit.data[number];
+        const wp::vec2 far = tiles.far.data[number];
+        const double sign = face & 1 ? -1.0 : 1.0;
+        int made = 0;
+        // x of one component, y of another and z: what is not negative at any occluding point.
+        auto add = [&](int one, double x, int other, double y, double z) {
+            Plane& p = plane[face_count][made++];
+            for (int k = 0; k < 3; ++k)
+                p.normal[k] = x * factor[one][k] + y * factor[other][k];
+            p.constant = x * constant[one] + y * constant[other] + z;
+            p.slack = 1.0 + fabs(x) * magnitude[one] + fabs(y) * magnitude[other] + fabs(z);
+        };
+        for (int q = 0; q < 2; ++q) {
+            const double low = fit[q], high = low + 4096.0 / fit[2 + q];
+            add((axis + 1 + q) % 3, 1.0, axis, -sign * (low - 0x1p-20 * (1.0 + fabs(low))), 0.0);
+            add((axis + 1 + q) % 3, -1.0, axis, sign * (high + 0x1p-20 * (1.0 + fabs(high))), 0.0);
+        }
+        add(axis, sign, axis, 0.0, 0.0);
+        add(axis, -sign, axis, 0.0, far[0]);
+        const double light = frame.w_slope > 0.0 ? frame.w_constant / frame.w_slope : HUGE_VAL;
+        add(3, 1.0, 3, 0.0, -(light < far[1] ? light - 0x1p-20 * fabs(light) : far[1]));
+        ++face_count;
+    }
+    int found = first;
+    for (int item = 0; item < items; ++item) {
+        const float* box = clusters.boxes.data + 96 * (size_t)item;
+        SixteenDoubles low[3], high[3], most[3];
+        for (int k = 0; k < 3; ++k) {
+            low[k] = __builtin_convertvector(*(const Sixteen*)(box + 16 * k), SixteenDoubles);
+            high[k] = __builtin_convertvector(*(const Sixteen*)(box + 16 * (3 + k)), SixteenDoubles);
+            most[k] = high[k] > -low[k] ? high[k] : -low[k];
+        }
+        int seen = 0;
+        for (int f = 0; f < face_count; ++f) {
+            int here = 0xFFFF & ~seen;
+            for (int q = 0; q < 7 && here; ++q) {
+                const Plane& p = plane[f][q];
+                SixteenDoubles value = p.constant, size = p.slack;
+                for (int k = 0; k < 3; ++k) {
+                    value += p.normal[k] * (p.normal[k] >= 0.0 ? high[k] : low[k]);
+                    size += fabs(p.normal[k]) * most[k];
+                }
+                // What is not a number is not beyond anything.
+                const auto beyond = value < -0x1p-40 * size;
+                here &= ~bits(__builtin_convertvector(beyond, SixteenInts));
+            }
+            seen |= here;
+        }
+        if (everything)
+            seen = 0xFFFF;
+        for (; seen; seen &= seen - 1) {
+            const int cluster = 16 * item + __builtin_ctz(seen);
+            if (cluster < count)
+                list.data[found++] = cluster;
+        }
+    }
+    return found;
+"""
+    + "\n#else\nreturn 0;\n#endif\n"
+)
+def list_clusters(
+    place: int,
+    first: int,
+    everything: int,
+    frame: LightFrame,
+    tiles: Tiles,
+    clusters: Clusters,
+    list: wp.array(dtype=int),
+) -> int:
+    """Store the clusters that may concern the rays of the light at ``place``, ascending, from ``first`` on; returns
+    the end. With ``everything`` all of them."""
+    ...
+
+
+@wp.func
+def divide(k: int, count: int, turn: wp.vec2i) -> int:
+    """The k-th of ``count`` pieces of work: each share begins elsewhere."""
+    return (k + count * turn[0] // turn[1]) % count
+
+
+@wp.func
+def make_all_boxes(
+    turn: wp.vec2i, vertices: wp.array(dtype=wp.vec3d), triangles: wp.array(dtype=wp.vec3i), clusters: Clusters
+):
+    """Boxes of all clusters, unless they are made."""
+    items = (clusters.triangles + 255) // 256
+    for k in range(items):
+        item = divide(k, items, turn)
+        if claim(clusters.made, item) != 0:
+            make_boxes(item, clusters, vertices, triangles)
+            publish(clusters.made, item)
+    for item in range(items):
+        await_made(clusters.made, item)
+
+
+@wp.func
+def make_block(
+    place: int,
+    block: int,
+    count: int,
+    light: LightFrame,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.vec3i),
+    candidates: Candidates,
+):
+    """Records and corners of a block of triangles for the light at ``place``, unless they are made or being made."""
+    blocks = (count + BLOCK - 1) // BLOCK
+    first = block * BLOCK
+    if claim(candidates.made, place * blocks + block) != 0:
+        prepare_block(
+            first,
+            count,
+            light,
+            wp.float64(FILTER_FACTOR),
+            wp.float64(SLOPE_FACTOR),
+            wp.float64(OFFSET_FACTOR),
+            wp.float64(U32),
+            wp.float64(SETUP_ERROR),
+            wp.float64(LARGEST_OFFSET),
+            vertices,
+            triangles,
+            place * count + first,
+            candidates.records,
+            place * blocks * BLOCK + first,
+            candidates.corners,
+            candidates.cull,
+            64 * place,
+            candidates.degenerate,
+            candidates.culled,
+        )
+        publish(candidates.made, place * blocks + block)
+
+
+@wp.kernel(enable_backward=False)
+def find_candidates(
+    lights: wp.array(dtype=LightFrame),
+    attempt: int,
+    turn: wp.vec2i,
+    tiles: Tiles,
+    wild: wp.array(dtype=int),
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.vec3i),
+    clusters: Clusters,
+    candidates: Candidates,
+    list: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+):
+    """One thread, the ``turn[0]``-th of ``turn[1]`` shares that do so: boxes, the clusters of each light of the pass
+    (``ends``: where those of each place end), and their records. Rays outside of the tiles, and those of further
+    attempts, ask for all triangles."""
+    make_all_boxes(turn, vertices, triangles, clusters)
+    everything = int(0)
+    if attempt > 0 or wild[1] > 0:
+        everything = 1
+    blocks = (clusters.triangles + BLOCK - 1) // BLOCK
+    first = int(0)
+    for place in range(tiles.lights):
+        end = list_clusters(place, first, everything, lights[place], tiles, clusters, list)
+        ends[place] = end
+        last = int(-1)
+        for k in range(end - first):
+            block = list[first + divide(k, end - first, turn)] // _CLUSTERS
+            if block != last:
+                make_block(place, block, clusters.triangles, lights[place], vertices, triangles, candidates)
+            last = block
+        for k in range(first, end):
+            await_made(candidates.made, place * blocks + list[k] // _CLUSTERS)
+        first = end
+
+
+class CandidateRecords:
+    """Records and corners made on demand, for all shares of a tracer: the records are those of the context, which
+    nobody else must have made meanwhile (``TriangleRecords.forget``)."""
+
+    def __init__(self, context: Context) -> None:
+        self._scene, self._records = context.scene, context.records
+        device, bounds = context.scene.device, context.frame.bounds
+        self._boxes = ClusterBoxes(bounds.max_triangles, context.scene)
+        self._corners = wp.empty(12 * (bounds.max_triangles + BLOCK * bounds.max_lights), dtype=float, device=device)
+        self._made = wp.zeros(bounds.max_triangles // BLOCK + bounds.max_lights, dtype=int, device=device)
+        self._slices = Slices()
+
+    def update(self, change: Change) -> None:
+        """Take note of what has happened to the scene."""
+        if change != Change.NOTHING:
+            self._boxes.forget()
+
+    def open(self, light: LightFrame) -> None:
+        """Nothing is made yet for this light, unless what was made is still right."""
+        if self._records.begin(light):
+            blocks = self._blocks()
+            self._slices(self._made, self._records.place(light.number) * blocks, blocks).zero_()
+            for silent in self._records.silent_of(light.number):
+                silent.zero_()
+
+    def corners(self, work: Pass) -> wp.array:
+        """Corners for the lights of a pass, light after light, each on a multiple of ``BLOCK`` triangles."""
+        size = 12 * BLOCK * self._blocks()
+        return self._slices(self._corners, self._records.place(work.first) * size, len(work.lights) * size)
+
+    def structs(self, work: Pass) -> tuple[Clusters, Candidates]:
+        """As kernels see them, for the lights of a pass."""
+        place, lights, blocks = self._records.place(work.first), len(work.lights), self._blocks()
+        candidates = Candidates()
+        candidates.cull = int(self._records.front_face_culling)
+        candidates.records = self._records.of(work.first, lights)
+        candidates.corners = self.corners(work)
+        candidates.made = self._slices(self._made, place * blocks, lights * blocks)
+        candidates.degenerate, candidates.culled = self._records.silent_of(work.first, lights)
+        return self._boxes.clusters(), candidates
+
+    def _blocks(self) -> int:
+        return -(-self._scene.triangle_count // BLOCK)
+
+    def nbytes(self) -> int:
+        """Bytes on the device, records aside."""
+        return self._boxes.nbytes() + int(self._corners.capacity + self._made.capacity)

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tiles of the variant ``packed``: equal numbers of rays that lie close together, seen from the light.
+
+All rays of a light go into one frustum, the *aligned* one around +W, if they all have W > 0 and |U|, |V| <= 2 W (spots,
+lights outside the view, far and directional lights); else into six cube faces. On a face a ray is (u, v), the two other
+coordinates divided by the one along the face's axis. The rays of a face are sorted by u and cut into columns of equal
+numbers; the rays of each column are sorted by v and cut into tiles of 32 (sort-tile-recursive packing: Leutenegger,
+Lopez and Edgington 1997, "STR: a simple and efficient algorithm for R-tree packing"). So there is no tile without rays
+and none with many, wherever rays crowd. Tile rectangles and depth ranges are taken from the rays themselves; keys
+decide about balance only, never about coverage.
+
+Sixteen tiles are a *block*, up to sixteen blocks a column, and columns come in sixteens: each of the three levels has
+boxes in (u, v, depth), a box of a higher level holding the rays of those below it. Boxes lie in groups of sixteen, each
+quantity of all of them together: [group][cu cv eu ev tmin tmax][16]. A box without rays has half extents of -1e30,
+which fails every test by far. t is the depth of light space (``light_space.py``) with h divided by its coordinate along
+the face's axis, not by its largest: in the aligned frustum |h| there is up to twice as large, so |U| + |V| + |W| <= 5
+and the magnitude bound of a box is 6 + 2.001 max |t| in place of 4 + 2.001 max |t|.
+
+A ray's u and v are within 2 u of exact relative, values up to 2; half extents are padded by 16 u for that and for their
+own rounding, depths by 8 u relative.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.device.sort import KeySort
+from shadow_tracer.gpu.exact.light_space import FACES
+from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+
+TILE = 32  # rays
+QUANTITIES = 6
+GONE = -1.0e30
+# Bits of a key: group, cell of u, cell of v. Columns are cut at any ray, tiles too: cells are for sorting.
+U_BITS, V_BITS = 11, 10
+U_CELLS, V_CELLS = 2**U_BITS, 2**V_BITS
+LOOKUP = 256
+MOST_BLOCKS = 16  # of a column
+BLOCK_RAYS = 16 * TILE
+
+# Columns of ``Tiles.groups``: first ray in key order, rays, rays per column, first column, columns, first block.
+FIRST_RAY = wp.constant(0)
+RAYS_OF = wp.constant(1)
+LENGTH = wp.constant(2)
+FIRST_COLUMN = wp.constant(3)
+COLUMNS_OF = wp.constant(4)
+FIRST_BLOCK = wp.constant(5)
+GROUP_COLUMNS = 6
+# Elements of ``Tiles.counts``.
+ALL_RAYS = wp.constant(0)
+ALL_COLUMNS = wp.constant(1)
+ALL_BLOCKS = wp.constant(2)
+
+
+@wp.struct
+class Tiles:
+    """Rays of a pass in tiles. A *group* is a face of a light: number 6 * (the light's place in the pass) + face."""
+
+    lights: int
+    samples: int  # per light
+    fit: wp.array(dtype=wp.vec4)  # of each group: low u, low v, 2^12 / extent of u, of v; 0 where there is no ray
+    far: wp.array(dtype=wp.vec2)  # of each group, on the CPU: beyond all rays along the face's axis; least Z of all
+    aligned: wp.array(dtype=int)  # of each light: whether its rays are in one frustum
+    groups: wp.array2d(dtype=int)
+    columns: wp.array(dtype=float)  # boxes of the columns; each group of rays starts a new sixteen
+    blocks: wp.array(dtype=float)  # boxes of the blocks, sixteen places per column
+    boxes: wp.array(dtype=float)  # boxes of the tiles, sixteen per block
+    rays: wp.array(dtype=float)  # [tile][half][U V W Z magnitude][16]; lanes that are not ``live`` hold anything
+    order: wp.array(dtype=int)  # ray of each lane: [tile][32]
+    live: wp.array(dtype=int)  # of each tile: bits of the rays that are to be tested
+    covered: wp.array(dtype=int)  # of each tile: whether a triangle occludes all of it
+    lookup: wp.array(dtype=wp.vec2i)  # [group][cell of u]: first and last column that may touch it
+    counts: wp.array(dtype=int)
+
+
+@wp.func
+def column_length(rays: int, fit: wp.vec4) -> int:
+    """Rays per column of a face: a multiple of those of a block, such that tiles are about square."""
+    if rays <= BLOCK_RAYS:
+        return BLOCK_RAYS
+    aspect = wp.clamp(fit[2] / fit[3], 0.125, 8.0)  # extent in v / extent in u
+    blocks = int(wp.sqrt(float(rays) / float(TILE) * aspect) / 16.0 + 0.5)
+    return BLOCK_RAYS * wp.clamp(blocks, 1, MOST_BLOCKS)
+
+
+@wp.func
+def lay_out(number: int, first_ray: int, rays: int, column: int, block: int, tiles: Tiles) -> int:
+    """Columns and blocks of group ``number``, whose rays begin at ``first_ray``, from ``column`` and ``block`` on;
+    returns how many places for columns they take."""
+    length = column_length(rays, tiles.fit[number])
+    columns = (rays + length - 1) // length
+    tiles.groups[number, FIRST_RAY] = first_ray
+    tiles.groups[number, RAYS_OF] = rays
+    tiles.groups[number, LENGTH] = length
+    tiles.groups[number, FIRST_COLUMN] = column
+    tiles.groups[number, COLUMNS_OF] = columns
+    tiles.groups[number, FIRST_BLOCK] = block
+    return (columns + 15) // 16 * 16
+
+
+@wp.func
+def lookup_cell(u: float, fit: wp.vec4) -> int:
+    """Cell of u in ``Tiles.lookup``: monotone, so what lies between two values lies between their cells."""
+    return int(wp.clamp((u - fit[0]) * fit[2] * (float(LOOKUP) / 4096.0), 0.0, float(LOOKUP - 1)))
+
+
+@wp.func
+def make_lookup(number: int, tiles: Tiles):
+    """``Tiles.lookup`` of group ``number`` from the boxes of its columns."""
+    columns = tiles.groups[number, COLUMNS_OF]
+    base = number * LOOKUP
+    for k in range(LOOKUP):
+        tiles.lookup[base + k] = wp.vec2i(columns, -1)
+    for c in range(columns):
+        column = tiles.groups[number, FIRST_COLUMN] + c
+        box = (column >> 4) * 16 * QUANTITIES + (column & 15)
+        low = lookup_cell(tiles.columns[box] - tiles.columns[box + 32], tiles.fit[number])
+        high = lookup_cell(tiles.columns[box] + tiles.columns[box + 32], tiles.fit[number])
+        at = tiles.lookup[base + high]
+        tiles.lookup[base + high] = wp.vec2i(wp.min(at[0], c), at[1])
+        at = tiles.lookup[base + low]
+        tiles.lookup[base + low] = wp.vec2i(at[0], wp.max(at[1], c))
+    for k in range(1, LOOKUP):
+        at = tiles.lookup[base + k]
+        tiles.lookup[base + k] = wp.vec2i(at[0], wp.max(at[1], tiles.lookup[base + k - 1][1]))
+        m = LOOKUP - 1 - k
+        at = tiles.lookup[base + m]
+        tiles.lookup[base + m] = wp.vec2i(wp.min(at[0], tiles.lookup[base + m + 1][0]), at[1])
+
+
+@wp.func
+def no_column(column: int, tiles: Tiles):
+    """Box of a column without rays."""
+    base = (column >> 4) * 16 * QUANTITIES + (column & 15)
+    for k in range(QUANTITIES):
+        tiles.columns[base + 16 * k] = wp.where(k == 2 or k == 3, GONE, 0.0)
+
+
+class TileBuffers:
+    """Owns the memory of the tiles of a pass."""
+
+    def __init__(self, buffers: FrameBuffers) -> None:
+        device, rays = buffers.device, buffers.bounds.max_rays
+        groups = FACES * buffers.bounds.max_lights
+        # Every group may end in a column that is not full.
+        self.most_blocks = -(-rays // BLOCK_RAYS) + groups
+        self.most_columns = self.most_blocks
+        column_places = self.most_columns + 16 * groups
+        self.sort = KeySort(rays, device)
+        self.cells = wp.empty(groups * U_CELLS, dtype=int, device=device)
+        tiles = Tiles()
+        tiles.fit = wp.empty(groups, dtype=wp.vec4, device=device)
+        tiles.far = wp.empty(groups, dtype=wp.vec2, device=device)
+        tiles.aligned = wp.empty(buffers.bounds.max_lights, dtype=int, device=device)
+        tiles.groups = wp.empty((groups, GROUP_COLUMNS), dtype=int, device=device)
+        tiles.columns = wp.empty((column_places + 15) // 16 * 16 * QUANTITIES, dtype=float, device=device)
+        tiles.blocks = wp.empty(column_places * 16 * QUANTITIES, dtype=float, device=device)
+        tiles.boxes = wp.empty(self.most_blocks * 16 * QUANTITIES, dtype=float, device=device)
+        tiles.rays = wp.empty(self.most_blocks * BLOCK_RAYS * 5, dtype=float, device=device)
+        tiles.order = wp.empty(self.most_blocks * BLOCK_RAYS, dtype=int, device=device)
+        tiles.live = wp.empty(self.most_blocks * 16, dtype=int, device=device)
+        tiles.covered = wp.empty(self.most_blocks * 16, dtype=int, device=device)
+        tiles.lookup = wp.empty(groups * LOOKUP, dtype=wp.vec2i, device=device)
+        tiles.counts = wp.zeros(3, dtype=int, device=device)
+        self.tiles = tiles
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        tiles = self.tiles
+        arrays = (
+            tiles.fit,
+            tiles.far,
+            tiles.aligned,
+            tiles.groups,
+            tiles.columns,
+            tiles.blocks,
+            tiles.boxes,
+            tiles.rays,
+        )
+        arrays += (self.cells, tiles.order, tiles.live, tiles.covered, tiles.lookup, tiles.counts)
+        return self.sort.nbytes() + sum(int(array.capacity) for array in arrays)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one registry of pipelines: name, variants, and where the implementation lives. Importing it does not import
+Warp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from shadow_tracer.gpu.accelerators.interface import Context, Pipeline
+
+
+@dataclass(frozen=True)
+class PipelineEntry:
+    """A registered pipeline.
+
+    Attributes:
+        summary: one line of explanation.
+        classes: ``module:class`` below ``shadow_tracer.gpu.accelerators`` of each variant, the default variant first;
+            made with the variant and a ``Context``. None where the engine chooses among the other pipelines.
+        side_by_side: variants of which several may work at once, each on rays of its own.
+    """
+
+    summary: str
+    classes: Mapping[str, str | None]
+    side_by_side: tuple[str, ...] = ()
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Names of the variants, the default first."""
+        return tuple(self.classes)
+
+
+AUTO = "auto"
+
+_PACKED = "light_grid.packed:PackedGrid"
+_LINEAR = "cone_hierarchy.linear:LinearHierarchy"
+_PAPER = "paper_hierarchy.paper:PaperHierarchy"
+_BVH = "bvh.mesh_bvh:MeshBvh"
+_BRUTE_FORCE = "brute_force.brute_force:BruteForce"
+_OF_THE_PAPER = (
+    "precise",
+    "precise_sorted",
+    "spheres",
+    "spheres_sorted",
+    "precise_sea",
+    "precise_eatp",
+    "precise_seatp",
+)
+
+REGISTRY: dict[str, PipelineEntry] = {
+    "light_grid": PipelineEntry(
+        "triangles in tiles of directions around the light, rays sorted into them",
+        {"packed": _PACKED, "packed_scalar": _PACKED, "spherical": "spherical_grid.spherical:SphericalGrid"},
+        ("packed",),
+    ),
+    "cone_hierarchy": PipelineEntry(
+        "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
+        {"linear": _LINEAR, "linear_scalar": _LINEAR} | dict.fromkeys(_OF_THE_PAPER, _PAPER),
+        ("linear",),
+    ),
+    "mesh_bvh": PipelineEntry(
+        "bounding volume hierarchy over the triangles, refitted while only positions change",
+        dict.fromkeys(("refit", "rebuild", "binary"), _BVH),
+    ),
+    "brute_force": PipelineEntry(
+        "every sample against every triangle: the oracle the others are compared with",
+        dict.fromkeys(("filtered", "scalar", "float64"), _BRUTE_FORCE),
+        ("filtered", "scalar", "float64"),
+    ),
+    AUTO: PipelineEntry(
+        "chooses one of the others for each frame, by what frames have cost on this device", {"measured": None}
+    ),
+}
+
+
+def available_pipelines() -> dict[str, tuple[str, ...]]:
+    """Names of all pipelines and their variants, the default variant first."""
+    return {name: entry.variants for name, entry in REGISTRY.items()}
+
+
+def resolve(pipeline: str, variant: str | None) -> tuple[str, str]:
+    """Check names and fill in the default variant.
+
+    Raises:
+        ValueError: an unknown name; the message lists the known ones.
+    """
+    if pipeline not in REGISTRY:
+        raise ValueError(f"pipeline: expected one of {', '.join(REGISTRY)}, got {pipeline!r}")
+    variants = REGISTRY[pipeline].variants
+    if variant is None:
+        return pipeline, variants[0]
+    if variant not in variants:
+        raise ValueError(f"variant: expected one of {', '.join(variants)} for pipeline {pipeline}, got {variant!r}")
+    return pipeline, variant
+
+
+def side_by_side(pipeline: str, variant: str) -> bool:
+    """Whether several of a variant may work at once, each on rays of its own."""
+    return variant in REGISTRY[pipeline].side_by_side
+
+
+def make_pipeline(name: str, variant: str, context: Context) -> Pipeline:
+    """Make the pipeline ``name`` over the given context. Imports Warp, and of the pipelines only that one."""
+    where = REGISTRY[name].classes[variant]
+    assert where is not None, f"{name} is no separate pipeline"
+    module, _, kind = where.partition(":")
+    made: Any = getattr(import_module(f"shadow_tracer.gpu.accelerators.{module}"), kind)
+    pipeline: Pipeline = made(variant, context)
+    return pipeline

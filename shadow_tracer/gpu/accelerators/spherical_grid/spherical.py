@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Variant ``spherical``: the light grid of Guntury and Narayanan 2010 ("Ray Tracing Dynamic Scenes with Shadows on
+GPU", section 4): tiles of azimuth and elevation around the light, depth cells between near and far, rays and
+triangles sorted into them, everything made again for every light and frame.
+
+The rays of a work item (``rays.py``) are tested with the entries of their tile (``cells.py``) from
+front to back, each ray up to the depth cell it starts in and no further than the first triangle that surely hides it.
+The answer goes to the state of the sample, in image space: as finding a ray in shadow twice is the same as once, work
+items need not know of each other.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.participants import Participants
+from shadow_tracer.gpu.accelerators.spherical_grid.cells import CellLists
+from shadow_tracer.gpu.accelerators.spherical_grid.rays import TiledRays, Tiles, cell_of
+from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device.counters import LEAF_TESTS, PASSES
+from shadow_tracer.gpu.exact.decision import NO, YES, filter_pair, ray_magnitude
+from shadow_tracer.gpu.exact.faces import Occluders
+from shadow_tracer.gpu.exact.light_frame import SHADOWED
+from shadow_tracer.gpu.occluders.corners import Corners
+from shadow_tracer.gpu.occluders.world import Change
+from shadow_tracer.gpu.samples.passes import Pass
+from shadow_tracer.gpu.visibility.answers import Answers, settle
+
+
+@wp.kernel(enable_backward=False)
+def trace_items(
+    lanes: int,
+    rays: wp.array(dtype=wp.vec4),
+    polar: wp.array(dtype=wp.vec3),
+    ray_keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+    items: wp.array(dtype=int),
+    item_counts: wp.array(dtype=int),
+    tiles: Tiles,
+    begins: wp.array(dtype=int),
+    entry_keys: wp.array(dtype=int),
+    entry_values: wp.array(dtype=int),
+    records: wp.array2d(dtype=wp.vec4),
+    answers: Answers,
+):
+    """The rays of each work item against the entries of their tile; ``lanes`` threads share an item."""
+    thread = wp.tid()
+    if thread == 0:
+        wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
+    item = thread // lanes
+    if item >= item_counts[0]:
+        return
+    grid = tiles.grid[0]
+    first = items[item]
+    tile = ray_keys[first]
+    begin = begins[tile]
+    end = begins[tile + 1]
+    if begin >= end:
+        return
+    tests = int(0)
+    j = first + (thread - item * lanes)
+    while j < items[item + 1]:
+        i = order[j]
+        if answers.states[i] != wp.uint8(SHADOWED):
+            ray = rays[i]
+            magnitude = ray_magnitude(ray)
+            last_cell = tile * grid.cells + cell_of(grid, polar[i][2])
+            e = begin
+            while e < end and entry_keys[e] <= last_cell:
+                triangle = entry_values[e]
+                answer = filter_pair(ray, magnitude, records, triangle)
+                tests += 1
+                e += 1
+                if answer != NO:
+                    settle(i, triangle, answer, answers)
+                    if answer == YES:
+                        e = end
+        j += lanes
+    if tests > 0:
+        wp.atomic_add(answers.counters, thread & 63, LEAF_TESTS, wp.int64(tests))
+
+
+class SphericalGrid:
+    """The pipeline's variant ``spherical``.
+
+    Args:
+        context: what to work on.
+        rays_per_tile: rays per tile of the grid on the average; at least 1.
+        cells: depth cells of a tile; at least 1.
+        threshold: the most rays of a work item (the paper's r); at least 1.
+        fixed: whether launches depend on nothing but counts and capacities, so that a frame can be recorded; by
+            default not on the CPU, where sorting an entry list that is mostly empty would cost more than reading how
+            long it is.
+    """
+
+    lights_together = 1
+    keeps_rays = False
+
+    def __init__(
+        self,
+        variant: str,
+        context: Context,
+        rays_per_tile: int = 8,
+        cells: int = 16,
+        threshold: int = 32,
+        fixed: bool | None = None,
+    ) -> None:
+        self._context = context
+        self.recordable = not forms.wide(context.frame.device) if fixed is None else fixed
+        self._participants = Participants(context)
+        self._corners = context.shared.take(Corners, lambda: Corners(context.records))
+        self.rays = TiledRays(context, self._participants, rays_per_tile, cells, threshold)
+        self.lists = CellLists(context, self.rays, cells, self.recordable)
+
+    def update(self, change: Change) -> None:
+        """Nothing is kept of the scene."""
+
+    def prepare(self, work: Pass) -> None:
+        """Records and corners of the light."""
+        with self._context.stages.stage("setup"):
+            if self._context.records.prepare(work.light):
+                self._corners.make(work.light)
+
+    def trace(self, work: Pass) -> None:
+        """Sort rays and triangles into the grid and test what meets there."""
+        stages, light = self._context.stages, work.first
+        occluders = Occluders()
+        occluders.count = self._context.scene.triangle_count
+        occluders.triangles = self._context.scene.triangles
+        occluders.corners = self._corners.of(light)
+        occluders.records = self._context.records.of(light)
+        if work.part == 0:
+            with stages.stage("sort"):
+                self._participants.choose(work)
+                self.rays.make(work)
+            with stages.stage("count"):
+                self.lists.count(work, occluders)
+        with stages.stage("build"):
+            self.lists.emit(work, occluders)
+        with stages.stage("trace"):
+            self._trace_items(work)
+            if work.part == 0:
+                self._participants.finish(work)
+
+    def _trace_items(self, work: Pass) -> None:
+        frame, rays, lists = self._context.frame, self.rays, self.lists
+        lanes = 1 if forms.wide(frame.device) else rays.threshold
+        inputs = [lanes, frame.rays, rays.polar, rays.keys, rays.order, rays.items, rays.counts, rays.tiles]
+        inputs += [lists.begins, lists.keys, lists.values, self._context.records.of(work.first)]
+        inputs += [self._participants.answers(work)]
+        wp.launch(trace_items, dim=rays.item_bound * lanes, inputs=inputs, device=frame.device)
+
+    def learn(self, counters: dict[str, int]) -> None:
+        """Nothing to adapt."""
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return self._participants.nbytes() + self.rays.nbytes() + self.lists.nbytes()

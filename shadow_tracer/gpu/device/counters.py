@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The columns of the counters that kernels add to."""
+
+from __future__ import annotations
+
+import warp as wp
+
+# Columns of the counter array. Each has 64 rows that threads spread over, so that they do not queue for one address.
+COUNTERS = ("rays", "nodes_visited", "leaf_tests", "retested", "exact", "accepted", "passes", "peak_queue")
+COUNTERS += ("entries", "largest_tile", "splits", "overflows")
+RAYS = wp.constant(0)
+NODES_VISITED = wp.constant(1)
+LEAF_TESTS = wp.constant(2)
+RETESTED = wp.constant(3)
+EXACT = wp.constant(4)
+ACCEPTED = wp.constant(5)
+PASSES = wp.constant(6)
+PEAK_QUEUE = wp.constant(7)
+ENTRIES = wp.constant(8)
+LARGEST_TILE = wp.constant(9)
+SPLITS = wp.constant(10)
+OVERFLOWS = wp.constant(11)  # further passes that a pipeline did by itself
+LARGEST = ("peak_queue", "largest_tile")  # of these the largest value of any row counts, not the sum
+ROWS = 64

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Device side of a tracer: what stays when a frame does not end.
+
+An exception can reach a frame between any two steps: Ctrl-C, a signal handler that raises, a timeout, no memory. What
+was half done then is not searched for but thrown away: a frame takes the :class:`FrameTracer` out of the engine and
+puts it back at its end, so that after any other end the next frame finds none, and all buffers are allocated again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from shadow_tracer.gpu.accelerators.registry import AUTO
+from shadow_tracer.gpu.device.graphs import can_record, end_recording
+from shadow_tracer.gpu.device.seats import Seat
+from shadow_tracer.gpu.device.workers import Workers
+from shadow_tracer.gpu.engine.automatic import Chooser, Names
+from shadow_tracer.gpu.engine.calibration import calibrate
+from shadow_tracer.gpu.engine.cuts import share_count
+from shadow_tracer.gpu.engine.frame import FrameTracer, Loaded
+from shadow_tracer.gpu.engine.gather import Traced
+from shadow_tracer.scene.bounds import Bounds
+from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.lights import Light
+from shadow_tracer.scene.mesh import Scene
+
+_Result = TypeVar("_Result")
+
+
+class Engine:
+    """Traces frames on a device; each to the end, or as if it had never begun.
+
+    Args:
+        graphs: whether frames are recorded; None: on a GPU. Not where the device cannot.
+        threads: how many shares of the rays are worked on side by side, on the CPU and where the pipeline allows it.
+    """
+
+    def __init__(
+        self, device: Any, bounds: Bounds, pipeline: str, variant: str, graphs: bool | None, threads: int = 1
+    ) -> None:
+        self.device = device
+        self.bounds = bounds
+        self._graphs = (device.is_cuda if graphs is None else graphs) and can_record(device)
+        self._workers = Workers(share_count(device, bounds, threads, self._graphs))
+        self._seat = Seat(device, records=self._graphs)
+        self._loaded: set[Loaded] = set()
+        self._culling = False
+        self._names: Names = (pipeline, variant)
+        self._chooser = _chooser_of(self._names)
+        self._second: Names | None = None
+        self._tracer: FrameTracer | None = None
+        self._seat.run(self._found)
+
+    def _whole(self, frame: Callable[[FrameTracer], _Result], needs: Sequence[Hashable] = ()) -> _Result:
+        """Do ``frame`` to the end; it launches the kernels ``needs``."""
+        return self._seat.run(lambda: self._do(frame), needs)
+
+    def _do(self, frame: Callable[[FrameTracer], _Result]) -> _Result:
+        tracer = self._found()
+        self._tracer = None
+        result = frame(tracer)
+        self._tracer = tracer
+        return result
+
+    def _found(self) -> FrameTracer:
+        if self._tracer is None:
+            self._workers.settle()
+            if self._graphs:
+                end_recording(self.device)
+            if self.device.is_cuda:
+                wp.synchronize_device(self.device)
+            names, chooser, seat = self._names, self._chooser, self._seat
+            made = FrameTracer(
+                self.device, self.bounds, names, chooser, self._graphs, self._workers, (self._loaded, seat.loaded)
+            )
+            made.front_face_culling = self._culling
+            if self._second is not None:
+                made.employ_second(*self._second)
+            self._tracer = made
+        return self._tracer
+
+    @property
+    def inside(self) -> FrameTracer:
+        """What traces the frames, made again if a frame has not ended."""
+        return self._seat.run(self._found)
+
+    @property
+    def threads(self) -> int:
+        """The most shares that are worked on side by side."""
+        return self._workers.count
+
+    @property
+    def names(self) -> Names:
+        """Pipeline and variant in use."""
+        return self._names
+
+    def select(self, pipeline: str, variant: str) -> None:
+        """Use another pipeline from the next frame on; the old one's buffers are freed, and the second pipeline's if it
+        would be the same. If this raises, for instance because there is no memory for old and new together, nothing has
+        changed."""
+        names = (pipeline, variant)
+        chooser = _chooser_of(names)
+        made = self._seat.run(lambda: self._found().make_teams(names, chooser))
+
+        def take(tracer: FrameTracer) -> None:
+            self._names, self._chooser = names, chooser
+            if self.second in self.pipelines:
+                self._second = None
+            tracer.take(*made)
+
+        self._whole(take)
+
+    @property
+    def pipelines(self) -> frozenset[str]:
+        """Names of the pipelines that may trace a frame: several if one of them is chosen each time."""
+        return frozenset(name for name, _ in self._chooser.candidates) if self._chooser else frozenset([self._names[0]])
+
+    @property
+    def chooser(self) -> Chooser | None:
+        """Who chooses the pipeline of each frame; None if it is always the same."""
+        return self._chooser
+
+    def calibrate(self) -> None:
+        """Let the chooser see what its candidates take on this device."""
+        if self._chooser is not None:
+            calibrate(self, self._chooser, self.bounds)
+
+    @property
+    def second(self) -> str | None:
+        """Name of the second pipeline, None if there is none."""
+        return None if self._second is None else self._second[0]
+
+    def employ_second(self, pipeline: str, variant: str) -> None:
+        """Allocate the buffers of a second pipeline beside the first; scene, samples and records are shared. One that
+        was there before is freed unless it is the same."""
+
+        def employ() -> None:
+            self._second = None
+            self._found().employ_second(pipeline, variant)
+            self._second = (pipeline, variant)
+
+        self._seat.run(employ)
+
+    def release_second(self) -> None:
+        """Free the second pipeline's buffers, if there are any, and what it alone has made of the scene."""
+        self._second = None
+        self.inside.release_second()
+
+    @property
+    def front_face_culling(self) -> bool:
+        """Whether triangles whose front faces the light cast nothing."""
+        return self._culling
+
+    @front_face_culling.setter
+    def front_face_culling(self, value: bool) -> None:
+        def cull(tracer: FrameTracer) -> None:
+            self._culling = tracer.front_face_culling = value
+
+        self._whole(cull)
+
+    def nbytes(self) -> int:
+        """Bytes reserved on the device."""
+        return self.inside.nbytes()
+
+    def holds(self, depth: np.ndarray) -> bool:
+        """Whether ``depth`` is, bit for bit, the depth image last traced, whatever points have been asked for since.
+        Waits for the device."""
+        return self.inside.holds(depth)
+
+    def trace_depth(
+        self,
+        scene: Scene,
+        depth: np.ndarray,
+        camera: Camera,
+        lights: Sequence[Light],
+        bias: tuple[float, float],
+        second: bool = False,
+    ) -> Traced:
+        """States of all pixels for all lights, by the second pipeline if so wished. Arguments have been checked:
+        float32 metres or uint16 millimetres, C order."""
+        frame = (depth.dtype.name, scene.triangle_count > 0)
+        return self._trace(lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), second, frame)
+
+    def trace_points(
+        self,
+        scene: Scene,
+        points: FloatArray,
+        lights: Sequence[Light],
+        bias: float,
+        valid: npt.NDArray[np.bool_] | None = None,
+        second: bool = False,
+    ) -> Traced:
+        """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
+        is all valid."""
+        frame = (None, scene.triangle_count > 0)
+        return self._trace(lambda tracer: tracer.trace_points(scene, points, lights, bias, valid), second, frame)
+
+    def _trace(self, trace: Callable[[FrameTracer], Traced], second: bool, frame: tuple[str | None, bool]) -> Traced:
+        """By the second pipeline, or not; ``frame``: the format of its image, and whether there are triangles."""
+        if second:
+            assert self._second is not None
+            return self._whole(lambda tracer: tracer.second_opinion(lambda: trace(tracer)), [(self._second, *frame)])
+        candidates = self._chooser.candidates if self._chooser else [self._names]
+        return self._whole(trace, [(names, *frame) for names in candidates])
+
+
+def _chooser_of(names: Names) -> Chooser | None:
+    return Chooser() if names[0] == AUTO else None

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""THE sample/triangle test. Every pipeline calls it, nothing else decides.
+
+Sample p, light l, triangle a, b, c. With D the side of the triangle's plane the light is on, p is in shadow iff
+
+- it lies strictly on the other side of the plane than the light, also after being moved by its bias towards the light,
+  and
+- it lies on the inner side of, or exactly on, each of the three planes through the light and an edge.
+
+No clipping, no projection and no intersection point is needed, wherever the corners are, beside or behind the light
+included.
+
+Two tiers. ``filter_pair`` is float32 on the records of ``records.py``: 12 multiply-adds, 64 bytes a triangle,
+with an error bound; it answers no, yes or *maybe*. Pairs it cannot decide go to a bounded queue
+(``visibility/queue.py``), and are decided from the scene's float64 coordinates with exact signs (``determinant.py``).
+A yes or no of the filter is proven to be what the exact decision would say, so a pipeline is right as soon as it shows
+every triangle that could matter to this test, in any order.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.exact.determinant import DETERMINANT
+from shadow_tracer.gpu.exact.light_frame import LIT, PENDING
+
+NO = wp.constant(0)
+YES = wp.constant(1)
+MAYBE = wp.constant(2)
+
+# Floor of the magnitude that scales the filter's bounds: keeps float64 frame errors (below 2^-48) covered next to the
+# light.
+MAGNITUDE_FLOOR = 2.0**-20
+
+
+@wp.func_native(
+    DETERMINANT
+    + r"""
+    // Corners in canonical order: whatever is rounded below is the same for every order and winding.
+    wp::vec3d v[3] = { a, b, c };
+    auto before = [](const wp::vec3d& x, const wp::vec3d& y) {
+        return x[0] != y[0] ? x[0] < y[0] : x[1] != y[1] ? x[1] < y[1] : x[2] < y[2];
+    };
+    auto order = [&](int i, int j) {
+        if (before(v[j], v[i])) {
+            wp::vec3d t = v[i];
+            v[i] = v[j];
+            v[j] = t;
+        }
+    };
+    order(0, 1);
+    order(1, 2);
+    order(0, 1);
+
+    const wp::vec3d p(sample[0], sample[1], sample[2]);
+    const double bias = sample[3];
+    // Question 0: on which side of the plane is the light; 1: is the sample on the other; 2 to 4: the planes through
+    // the light and an edge. One call in a loop that stays a loop, or compilers inline the expansion arithmetic five
+    // times.
+    double value[5];
+    int light_side = 0;
+#pragma unroll 1
+    for (int question = 0; question < 5; ++question) {
+        const int k = question - 2;
+        const wp::vec4d from = question == 1 ? wp::vec4d(p[0], p[1], p[2], 1.0) : light;
+        const wp::vec3d r = question < 2 ? v[1] : p;
+        const wp::vec3d s = question < 2 ? v[2] : v[(k + 1) % 3];
+        const wp::vec3d o = question < 2 ? v[0] : v[k];
+        const int side = determinant(from, r, s, o, value[question]);
+        if (question == 0)
+            light_side = side;
+        if (question == 0 ? side == 0 : question == 1 ? side * light_side >= 0 : side * light_side > 0)
+            return exact_used << 1;
+    }
+    if (bias > 0.0) {
+        // The biased start p + bias * (l - p) / |l - p| is still behind the plane iff A |l - p| > bias (D + A), with A
+        // and D the distances of p and l from the plane; for a light at infinity iff A |s| > bias D.
+        double x = light[0], y = light[1], z = light[2];
+        double behind = absolute(value[1]), front = absolute(value[0]);
+        if (light[3] != 0.0) {
+            x = sub(x, p[0]); y = sub(y, p[1]); z = sub(z, p[2]);
+            front = add(front, behind);
+        }
+        if (!(mul(behind, norm(x, y, z)) > mul(bias, front)))
+            return exact_used << 1;
+    }
+    return (exact_used << 1) | 1;
+    """
+)
+def decide(sample: wp.vec4d, light: wp.vec4d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> int:
+    """The decision: bit 0 is set iff the triangle keeps the light from the sample (x, y, z, bias); the other bits
+    count the determinants that needed expansion arithmetic. All of it is in scene coordinates as given, float64."""
+    ...
+
+
+@wp.func
+def is_ray(state: wp.uint8, ray: wp.vec4) -> bool:
+    """Whether there is anything left to find out about a sample."""
+    return (state == wp.uint8(LIT) or state == wp.uint8(PENDING)) and ray[0] == ray[0]
+
+
+@wp.func
+def ray_magnitude(ray: wp.vec4) -> float:
+    """What the bounds of ``filter_pair`` scale with: that of the own plane, in (U, V, Z), with this, those of edges
+    with |W| more."""
+    return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[3]) + MAGNITUDE_FLOOR
+
+
+# The filter as C++, so that native loops of pipelines use the same code: record points at the 16 floats of a triangle.
+FILTER = r"""
+    auto filter = [](const wp::vec4& ray, float magnitude, const wp::vec4* record) -> int {
+        const wp::vec4 &ab = record[0], &bc = record[1], &ca = record[2], &plane = record[3];
+        const float edge = ab[3] * (magnitude + fabsf(ray[2]));
+        const float depth = bc[3] * magnitude + ca[3];
+        const float e0 = ab[0] * ray[0] + ab[1] * ray[1] + ab[2] * ray[2];
+        const float e1 = bc[0] * ray[0] + bc[1] * ray[1] + bc[2] * ray[2];
+        const float e2 = ca[0] * ray[0] + ca[1] * ray[1] + ca[2] * ray[2];
+        const float g = plane[0] * ray[0] + plane[1] * ray[1] + plane[2] * ray[3] - plane[3];
+        // Comparisons with NaN fail, and what fails both ways is a maybe.
+        if (e0 < -edge || e1 < -edge || e2 < -edge || g < -depth)
+            return 0;
+        return e0 > edge && e1 > edge && e2 > edge && g > depth ? 1 : 2;
+    };
+"""
+
+# The same for n rays given as separate coordinates and magnitudes: written so that the CPU's compiler puts the loop
+# into vector registers. Fills answer with 0, 1 or 2 and returns whether any is not 0.
+FILTER_BLOCK = r"""
+    auto filter_block = [](const float* record, int n, const float* U, const float* V, const float* W, const float* Z,
+                           const float* M, int* answer) -> int {
+        const float a0 = record[0], a1 = record[1], a2 = record[2], a3 = record[3];
+        const float b0 = record[4], b1 = record[5], b2 = record[6], b3 = record[7];
+        const float c0 = record[8], c1 = record[9], c2 = record[10], c3 = record[11];
+        const float p0 = record[12], p1 = record[13], p2 = record[14], p3 = record[15];
+        int any = 0;
+        for (int j = 0; j < n; ++j) {
+            const float edge = a3 * (M[j] + fabsf(W[j])), depth = b3 * M[j] + c3;
+            const float e0 = a0 * U[j] + a1 * V[j] + a2 * W[j];
+            const float e1 = b0 * U[j] + b1 * V[j] + b2 * W[j];
+            const float e2 = c0 * U[j] + c1 * V[j] + c2 * W[j];
+            const float g = p0 * U[j] + p1 * V[j] + p2 * Z[j] - p3;
+            const int no = (e0 < -edge) | (e1 < -edge) | (e2 < -edge) | (g < -depth);
+            const int yes = (e0 > edge) & (e1 > edge) & (e2 > edge) & (g > depth);
+            answer[j] = (1 - no) * (2 - yes);
+            any |= answer[j];
+        }
+        return any;
+    };
+"""
+
+
+# The same for sixteen rays, [U V W Z magnitude][ray], as bit masks: of those the answer is not no for, and yes for. For
+# Clang, that is for the CPU: its vector types become whatever registers there are.
+SIXTEEN = r"""
+    typedef float Sixteen __attribute__((ext_vector_type(16), aligned(4)));
+    typedef int SixteenInts __attribute__((ext_vector_type(16)));
+    typedef bool SixteenBits __attribute__((ext_vector_type(16)));
+    auto bits = [](SixteenInts x) -> int {
+        return __builtin_bit_cast(unsigned short, __builtin_convertvector(x, SixteenBits));
+    };
+"""
+FILTER_SIXTEEN = (
+    SIXTEEN
+    + r"""
+    auto filter16 = [&](const float* record, const float* rays, int& yes) -> int {
+        const Sixteen U = *(const Sixteen*)rays, V = *(const Sixteen*)(rays + 16), W = *(const Sixteen*)(rays + 32);
+        const Sixteen Z = *(const Sixteen*)(rays + 48), M = *(const Sixteen*)(rays + 64);
+        const Sixteen edge = record[3] * (M + __builtin_elementwise_abs(W)), depth = record[7] * M + record[11];
+        const Sixteen e0 = record[0] * U + record[1] * V + record[2] * W;
+        const Sixteen e1 = record[4] * U + record[5] * V + record[6] * W;
+        const Sixteen e2 = record[8] * U + record[9] * V + record[10] * W;
+        const Sixteen g = record[12] * U + record[13] * V + record[14] * Z - record[15];
+        const int no = bits((e0 < -edge) | (e1 < -edge) | (e2 < -edge) | (g < -depth));
+        if (no == 0xFFFF)
+            return 0;
+        yes = bits((e0 > edge) & (e1 > edge) & (e2 > edge) & (g > depth)) & ~no;
+        return ~no & 0xFFFF;
+    };
+"""
+)
+
+
+@wp.func_native(FILTER + "return filter(ray, magnitude, (const wp::vec4*)records.data + 4 * (size_t)triangle);")
+def filter_pair(ray: wp.vec4, magnitude: float, records: wp.array2d(dtype=wp.vec4), triangle: int) -> int:
+    """NO, YES or MAYBE from the float32 record of a triangle."""
+    ...

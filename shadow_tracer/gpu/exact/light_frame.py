@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One homogeneous frame for near, far and directional lights.
+
+With an anchor (centre C and scale S near the samples), f the unit vector from C to the light, r and s orthogonal to
+it, R the distance to the light and H = max(R, S), a point x gets::
+
+    x' = (x - C) / S      U = r.x'    V = s.x'    Z = f.x'    W = R/H - (S/H) Z
+
+(U, V, W) is, up to a positive scale per axis, the position seen from the light, so planes through the light are linear
+in it without a constant; (U, V, Z) is the position itself, for the triangle's own plane. For a directional light R/H =
+1 and S/H = 0: the same formulas, no loss of precision however far the light is. Only this frame is float32; it feeds
+the filter of ``decision.py``, whose bounds account for every rounding here (``docs/exactness.md``). The exact
+decision never uses it. ``rays.py`` brings samples into it, ``records.py`` triangles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+
+from shadow_tracer.gpu.exact.determinant import ARITHMETIC
+from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.lights import HardLight
+
+# Values of the state image; shadow_tracer.visibility.State is the public name. PENDING never leaves the device.
+LIT = wp.constant(0)
+SHADOWED = wp.constant(1)
+OUTSIDE = wp.constant(2)
+INVALID = wp.constant(3)
+PENDING = wp.constant(4)
+
+
+@wp.struct
+class LightFrame:
+    """A light and the frame around it, as kernels see it."""
+
+    number: int  # of the light within its frame
+    light: wp.vec4d  # homogeneous: position and 1, or direction to the light (any length) and 0
+    center: wp.vec3d
+    r: wp.vec3d
+    s: wp.vec3d
+    f: wp.vec3d
+    inverse_scale: wp.float64
+    w_constant: wp.float64
+    w_slope: wp.float64
+    axis: wp.vec3d  # of the lit cone
+    cosine: wp.float64  # of its half angle; -2 admits everything
+    reach: wp.float64  # range [m]
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Centre [m] and scale [m] of the samples. Any values are correct; close ones keep the float32 filter sharp."""
+
+    center: tuple[float, float, float]
+    scale: float
+
+    def covers(self, center: FloatArray, radius: float) -> bool:
+        """Whether this anchor serves samples within ``radius`` of ``center`` well, so that nothing needs to be set up
+        again."""
+        distance = float(np.linalg.norm(center - np.asarray(self.center)))
+        return distance + radius <= self.scale <= 8.0 * radius
+
+
+def make_anchor(center: FloatArray, radius: float, previous: Anchor | None) -> Anchor:
+    """Anchor for samples within about ``radius`` of ``center``; the previous one while it still serves."""
+    radius = min(max(radius, 1e-30), 1e30)
+    if previous is not None and previous.covers(center, radius):
+        return previous
+    x, y, z = (float(v) for v in center)
+    return Anchor((x, y, z), 1.5 * radius)
+
+
+def make_light_frame(light: HardLight, anchor: Anchor, number: int = 0) -> LightFrame:
+    """Frame of ``light``, the ``number``-th of its frame, over the samples at ``anchor``. Not to be changed: a light
+    that stays where it is gets the same one again."""
+    axis, cosine = light.cone
+    return _make(tuple(light.homogeneous.tolist()), tuple(axis.tolist()), cosine, light.range, anchor, number)
+
+
+@lru_cache(maxsize=256)
+def _make(
+    homogeneous: tuple[float, ...], axis: tuple[float, ...], cosine: float, reach: float, anchor: Anchor, number: int
+) -> LightFrame:
+    center = np.asarray(anchor.center)
+    place = np.asarray(homogeneous[:3])
+    if homogeneous[3] == 0.0:
+        f = place / np.linalg.norm(place)
+        w_constant, w_slope = 1.0, 0.0
+    else:
+        offset = place - center
+        distance = float(np.linalg.norm(offset))
+        f = offset / distance if distance > 0.0 else np.array([0.0, 0.0, 1.0])
+        reference = max(distance, anchor.scale)
+        w_constant, w_slope = distance / reference, anchor.scale / reference
+    f = f / np.linalg.norm(f)
+    # The axis least aligned with f gives a well-conditioned orthonormal basis.
+    r = np.cross(np.eye(3)[int(np.argmin(np.abs(f)))], f)
+    r /= np.linalg.norm(r)
+    frame = LightFrame()
+    frame.number = number
+    frame.light = wp.vec4d(*homogeneous)
+    frame.center = wp.vec3d(*anchor.center)
+    frame.r = wp.vec3d(*r)
+    frame.s = wp.vec3d(*np.cross(f, r))
+    frame.f = wp.vec3d(*f)
+    frame.inverse_scale = 1.0 / anchor.scale
+    frame.w_constant = w_constant
+    frame.w_slope = w_slope
+    frame.axis = wp.vec3d(*axis)
+    frame.cosine = cosine
+    frame.reach = reach
+    return frame
+
+
+# State of a sample before any triangle is looked at. Without contraction, so that the border of the cone has the same
+# bits everywhere.
+@wp.func_native(
+    ARITHMETIC
+    + r"""
+    if (light[3] == 0.0)
+        return 0;
+    double x = sub(p[0], light[0]), y = sub(p[1], light[1]), z = sub(p[2], light[2]);
+    double distance = norm(x, y, z);
+    if (distance > reach)
+        return 2;
+    double along = add(add(mul(x, axis[0]), mul(y, axis[1])), mul(z, axis[2]));
+    return along < mul(cosine, distance) ? 2 : 0;
+    """
+)
+def light_reaches(p: wp.vec3d, light: wp.vec4d, axis: wp.vec3d, cosine: wp.float64, reach: wp.float64) -> int:
+    """LIT if the light shines towards ``p`` and far enough, else OUTSIDE."""
+    ...
+
+
+# Unit vector to the light and the distance to it (the largest float64 for a light at infinity), the same bits as the
+# exact decision uses.
+@wp.func_native(
+    ARITHMETIC
+    + r"""
+    double x = light[0], y = light[1], z = light[2];
+    if (light[3] != 0.0) {
+        x = sub(x, p[0]); y = sub(y, p[1]); z = sub(z, p[2]);
+    }
+    double length = norm(x, y, z);
+    double scale = length > 0.0 ? 1.0 / length : 0.0;
+    return wp::vec4d(mul(x, scale), mul(y, scale), mul(z, scale), light[3] != 0.0 ? length : 1.7976931348623157e308);
+    """
+)
+def towards_light(p: wp.vec3d, light: wp.vec4d) -> wp.vec4d:
+    """(unit direction to the light, distance to it; the largest float64 for a light at infinity)."""
+    ...
+
+
+@wp.func
+def frame_coordinates(frame: LightFrame, offset: wp.vec3d) -> wp.vec4d:
+    """(U, V, W, Z) of the point ``center + offset``."""
+    x = offset * frame.inverse_scale
+    z = wp.dot(frame.f, x)
+    return wp.vec4d(wp.dot(frame.r, x), wp.dot(frame.s, x), frame.w_constant - frame.w_slope * z, z)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scene's vertices in light space, for tests that need corners and not only planes."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device.slices import Slices
+from shadow_tracer.gpu.exact.light_frame import LightFrame, frame_coordinates
+from shadow_tracer.gpu.occluders.seen import TriangleRecords
+
+# Vertices per thread on the CPU.
+_BLOCK = 256
+
+
+@wp.kernel(enable_backward=False)
+def project_vertices(
+    light: wp.array(dtype=LightFrame), vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
+):
+    """(U, V, W, Z) of every vertex: each within 2^-24 relative and 2^-46 (1 + its distance from the anchor) of
+    exact."""
+    i = wp.tid()
+    frame = light[0]
+    c = frame_coordinates(frame, vertices[i] - frame.center)
+    out[i] = wp.vec4(float(c[0]), float(c[1]), float(c[2]), float(c[3]))
+
+
+# project_vertices for a block; plain loops over the 3 (or 4) numbers of each vertex, which the CPU's compiler
+# vectorises.
+@wp.func_native(
+    r"""
+    const double* in = (const double*)vertices.data;
+    float* to = (float*)out.data;
+    const double k = frame.inverse_scale, w0 = frame.w_constant, w1 = frame.w_slope;
+    const double cx = frame.center[0], cy = frame.center[1], cz = frame.center[2];
+    const double rx = frame.r[0], ry = frame.r[1], rz = frame.r[2];
+    const double sx = frame.s[0], sy = frame.s[1], sz = frame.s[2];
+    const double fx = frame.f[0], fy = frame.f[1], fz = frame.f[2];
+    for (int i = first; i < last; ++i) {
+        const double x = (in[3 * (size_t)i] - cx) * k, y = (in[3 * (size_t)i + 1] - cy) * k;
+        const double z = (in[3 * (size_t)i + 2] - cz) * k;
+        const double depth = fx * x + fy * y + fz * z;
+        to[4 * (size_t)i] = (float)(rx * x + ry * y + rz * z);
+        to[4 * (size_t)i + 1] = (float)(sx * x + sy * y + sz * z);
+        to[4 * (size_t)i + 2] = (float)(w0 - w1 * depth);
+        to[4 * (size_t)i + 3] = (float)depth;
+    }
+    """
+)
+def project_block(
+    frame: LightFrame, first: int, last: int, vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
+):
+    """``project_vertices`` for the vertices from ``first`` to ``last``."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def project_vertex_blocks(
+    light: wp.array(dtype=LightFrame), count: int, vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
+):
+    first = wp.tid() * _BLOCK
+    project_block(light[0], first, wp.min(first + _BLOCK, count), vertices, out)
+
+
+class Corners:
+    """(U, V, W, Z) of the scene's vertices for as many lights as there are triangle records of."""
+
+    def __init__(self, records: TriangleRecords) -> None:
+        self._records, self._scene = records, records.scene
+        capacity = 3 * records.bounds.max_triangles
+        self._vertices = wp.empty(capacity, dtype=wp.vec4, device=self._scene.device)
+        self._slices = Slices()
+
+    def of(self, light: int, lights: int = 1) -> wp.array:
+        """Vertices for ``lights`` lights from number ``light`` on, light after light."""
+        count = self._scene.vertex_count
+        return self._slices(self._vertices, self._records.place(light) * count, lights * count)
+
+    def make(self, frame: LightFrame) -> None:
+        """Make them for the light of ``frame``; to be done whenever its triangle records are made."""
+        scene, light = self._scene, self._records.light_frame(frame.number)
+        device, count = scene.device, scene.vertex_count
+        out = self.of(frame.number)
+        if forms.wide(device):
+            inputs = [light, count, scene.vertices, out]
+            wp.launch(project_vertex_blocks, dim=-(-count // _BLOCK), inputs=inputs, device=device)
+        else:
+            wp.launch(project_vertices, dim=count, inputs=[light, scene.vertices, out], device=device)
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return int(self._vertices.capacity)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the samples of a frame are, roughly: the :class:`Anchor` that float32 numbers are relative to."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from shadow_tracer.gpu.exact.light_frame import Anchor, make_anchor
+from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.checks import FloatArray
+
+
+def depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:
+    """Anchor from a sparse look at the depth image: it needs to be near the samples, not around all of them."""
+    step = max(1, min(depth.shape) // 32)
+    rows, columns = np.mgrid[step // 2 : depth.shape[0] : step, step // 2 : depth.shape[1] : step]
+    z = depth[rows, columns].astype(np.float64)
+    if depth.dtype == np.uint16:
+        z /= 1000.0
+    seen = np.isfinite(z) & (z > 0.0)
+    if not seen.any():
+        return previous or make_anchor(camera.position, 1.0, None)
+    # A few samples at the end of the world must not make all others small: float32 could not tell them apart. A
+    # background is no outlier: it has many.
+    seen &= z <= 30.0 * float(np.quantile(z[seen], 0.98))
+    z, u, v = z[seen], columns[seen], rows[seen]
+    local = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z])
+    low, high = local.min(axis=1), local.max(axis=1)
+    center = 0.5 * low + 0.5 * high
+    world = camera.camera_to_world[:3, :3] @ center + camera.camera_to_world[:3, 3]
+    # A scale of some biases keeps the biased starts from cancelling against it (project_samples).
+    return make_anchor(
+        world, max(float(np.linalg.norm(high - center)), 4.0 * (bias[0] + bias[1] * z.max() ** 2)), previous
+    )
+
+
+def points_anchor(
+    points: FloatArray, valid: npt.NDArray[np.bool_] | None, bias: float, previous: Anchor | None
+) -> Anchor:
+    """Anchor of (N, 3) points, those that are not ``valid`` left out if others are."""
+    seen = points if valid is None or not valid.any() else points[valid]
+    # A column at a time: numpy reduces a long strided column several times faster than an axis of length three.
+    low, high = (np.array([reduce(column) for column in seen.T]) for reduce in (np.min, np.max))
+    center = 0.5 * low + 0.5 * high
+    return make_anchor(center, max(float(np.linalg.norm(high - center)), 4.0 * bias), previous)

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth image to samples: one sample per pixel, in the world, float64, in image order.
+
+A pixel is valid iff its depth is finite and positive (REP 117, REP 118) and its sample no farther from the origin than
+coordinates may be: NaN, infinity, zero and negative values, and 0 in millimetre images, never become samples. The
+operations are those of ``Camera.unproject`` in the same order without contraction, so a point computed there is the
+sample traced here, bit for bit.
+
+CUDA takes one pixel per thread (``unproject``). On the CPU Warp's loops are scalar, so there a thread takes a block of
+pixels and the compiler puts the loop over them into vector registers (``unproject_block``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.exact.determinant import ARITHMETIC, transform_point
+from shadow_tracer.gpu.samples.pinhole import Pinhole
+from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.scene.checks import LARGEST
+
+
+# (x, y, z) in the optical frame, and the bias; uncontracted.
+@wp.func_native(
+    ARITHMETIC
+    + r"""
+    double x = mul((column - camera.cx) / camera.fx, z);
+    double y = mul((row - camera.cy) / camera.fy, z);
+    return wp::vec4d(x, y, z, add(camera.bias_constant, mul(camera.bias_quadratic, mul(z, z))));
+    """
+)
+def pixel_sample(camera: Pinhole, column: wp.float64, row: wp.float64, z: wp.float64) -> wp.vec4d:
+    """Sample of the pixel at ``column``, ``row`` with depth ``z`` [m], in the optical frame."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def unproject(
+    cameras: wp.array(dtype=Pinhole),
+    units_per_metre: wp.float64,
+    depth: wp.array(dtype=Any),
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+):
+    """Samples and validity of all pixels; ``units_per_metre`` is 1 for metres, 1000 for millimetres."""
+    i = wp.tid()
+    camera = cameras[0]
+    raw = wp.float64(depth[i])
+    if not (raw > wp.float64(0.0)) or not wp.isfinite(raw):
+        valid[i] = wp.uint8(0)
+        return
+    pixel = camera.first + i
+    row = pixel // camera.width
+    local = pixel_sample(camera, wp.float64(pixel - row * camera.width), wp.float64(row), raw / units_per_metre)
+    p = transform_point(camera.row0, camera.row1, camera.row2, wp.vec3d(local[0], local[1], local[2]))
+    largest = wp.float64(LARGEST)
+    samples[i] = wp.vec4d(p[0], p[1], p[2], wp.min(local[3], largest))
+    valid[i] = wp.uint8(0)
+    if wp.abs(p[0]) <= largest and wp.abs(p[1]) <= largest and wp.abs(p[2]) <= largest:
+        valid[i] = wp.uint8(1)
+
+
+wp.overload(unproject, {"depth": wp.array(dtype=wp.float32)})
+wp.overload(unproject, {"depth": wp.array(dtype=wp.uint16)})
+
+# Pixels per thread of the vectorised loop.
+_BLOCK = 1024
+
+# The row and what depends on it alone is constant over a stretch of the image; where there is no measurement, z = 0
+# keeps the arithmetic quiet and the sample unused.
+_STRETCHES = (
+    ARITHMETIC
+    + r"""
+#if !defined(__CUDA_ARCH__)
+    const double fx = camera.fx, cx = camera.cx, constant = camera.bias_constant, quadratic = camera.bias_quadratic;
+    const double a0 = camera.row0[0], a1 = camera.row0[1], a2 = camera.row0[2], a3 = camera.row0[3];
+    const double b0 = camera.row1[0], b1 = camera.row1[1], b2 = camera.row1[2], b3 = camera.row1[3];
+    const double c0 = camera.row2[0], c1 = camera.row2[1], c2 = camera.row2[2], c3 = camera.row2[3];
+    const int end = count - first < 1024 ? count : first + 1024;
+    typedef double Four[4];
+    for (int i = first; i < end;) {
+        const int pixel = camera.first + i, row = pixel / camera.width, column = pixel - row * camera.width;
+        const int n = camera.width - column < end - i ? camera.width - column : end - i;
+        const double down = (row - camera.cy) / camera.fy;
+        const auto* __restrict__ raw = depth.data + i;
+        Four* __restrict__ sample = (Four*)(samples.data + i);
+        wp::uint8* __restrict__ good = valid.data + i;
+        for (int j = 0; j < n; ++j) {
+            const double measured = raw[j];
+            const bool is = measured > 0.0 && measured <= 1.7976931348623157e308;
+            const double z = is ? measured / units_per_metre : 0.0;
+            const double x = mul(((double)(column + j) - cx) / fx, z), y = mul(down, z);
+            const double px = add(add(add(mul(a0, x), mul(a1, y)), mul(a2, z)), a3);
+            const double py = add(add(add(mul(b0, x), mul(b1, y)), mul(b2, z)), b3);
+            const double pz = add(add(add(mul(c0, x), mul(c1, y)), mul(c2, z)), c3);
+            const double bias = add(constant, mul(quadratic, mul(z, z)));
+            sample[j][0] = px;
+            sample[j][1] = py;
+            sample[j][2] = pz;
+            sample[j][3] = bias < largest ? bias : largest;
+            good[j] = is & (absolute(px) <= largest) & (absolute(py) <= largest) & (absolute(pz) <= largest);
+        }
+        i += n;
+    }
+#endif
+"""
+)
+
+
+@wp.func_native(_STRETCHES)
+def unproject_block(
+    first: int,
+    count: int,
+    camera: Pinhole,
+    units_per_metre: wp.float64,
+    largest: wp.float64,
+    depth: wp.array(dtype=wp.float32),
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+):
+    """``unproject`` for up to 1024 pixels from ``first`` on, vectorised. Samples of invalid pixels are written, too."""
+    ...
+
+
+@wp.func_native(_STRETCHES)  # type: ignore[no-redef]
+def unproject_block(  # noqa: F811, an overload
+    first: int,
+    count: int,
+    camera: Pinhole,
+    units_per_metre: wp.float64,
+    largest: wp.float64,
+    depth: wp.array(dtype=wp.uint16),
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+):
+    """The same for millimetres."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def unproject_blocks(
+    count: int,
+    cameras: wp.array(dtype=Pinhole),
+    units_per_metre: wp.float64,
+    depth: wp.array(dtype=Any),
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+):
+    first = wp.tid() * _BLOCK
+    unproject_block(first, count, cameras[0], units_per_metre, wp.float64(LARGEST), depth, samples, valid)
+
+
+wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.float32)})
+wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.uint16)})
+
+
+def unproject_image(depth: wp.array, buffers: FrameBuffers) -> None:
+    """Samples and validity of the ``buffers.count`` pixels of ``depth``, float32 metres or uint16 millimetres, seen by
+    ``buffers.pinhole``."""
+    wide = forms.wide(buffers.device)
+
+    def prepare() -> tuple[int, list[Any]]:
+        units = wp.float64(1.0 if depth.dtype == wp.float32 else 1000.0)
+        inputs = [buffers.pinhole, units, depth, buffers.samples, buffers.valid]
+        return (-(-buffers.count // _BLOCK), [buffers.count, *inputs]) if wide else (buffers.count, inputs)
+
+    buffers.launch(unproject_blocks if wide else unproject, (depth.ptr, buffers.count), prepare)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Device buffers of a frame, allocated once from the declared bounds.
+
+Live counts are host integers where the host knows them (samples, triangles) and device integers where only the device
+does (queue length, counters). Nothing here allocates per frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import warp as wp
+
+from shadow_tracer.gpu.device.counters import COUNTERS, LARGEST, ROWS
+from shadow_tracer.gpu.device.launches import Launches
+from shadow_tracer.gpu.device.slices import Slices
+from shadow_tracer.gpu.device.transfers import HostCopies, HostValues, Uploads
+from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.samples.pinhole import Pinhole
+from shadow_tracer.scene.bounds import Bounds
+
+# Rays that a share has room for, in parts of an even one: cuts are moved until all take equally long (``balance.py``).
+_ROOM = 1.25
+
+
+def share_of(bounds: Bounds, shares: int) -> Bounds:
+    """Capacities of one of several shares of the rays; of each list at least one place."""
+    return replace(
+        bounds,
+        max_rays=min(bounds.max_rays, math.ceil(_ROOM * bounds.max_rays / shares)),
+        queue_capacity=max(1, bounds.queue_capacity // shares),
+        grid_entries=max(1, bounds.grid_entries // shares),
+    )
+
+
+class FrameBuffers:
+    """Everything a frame needs on the device: samples, rays, lights, states, queue, counters.
+
+    Args:
+        bounds: capacities.
+        shares: the number of shares that the buffers can be cut into.
+        whole: buffers in whose memory these are to lie, as share number ``number``.
+        mirrored: whether results are packed on the device and copied to the host all at once, see ``StatePlanes``.
+    """
+
+    def __init__(
+        self,
+        bounds: Bounds,
+        device: Any,
+        shares: int = 1,
+        whole: FrameBuffers | None = None,
+        number: int = 0,
+        mirrored: bool = False,
+    ) -> None:
+        if whole is not None:
+            bounds = share_of(bounds, shares)
+        self.bounds = bounds
+        self.device = device
+        self.number, self.shares = (number, shares) if whole is not None else (0, 1)
+
+        def take(name: str, count: int, dtype: Any) -> wp.array:
+            if whole is None:
+                return wp.empty(count, dtype=dtype, device=device)
+            return getattr(whole, name)[number * count : (number + 1) * count]
+
+        self.upload: Uploads = whole.upload if whole else Uploads(device)
+        self.host = HostCopies(device, mirrored)
+        rays = bounds.max_rays if whole else shares * share_of(bounds, shares).max_rays
+        self.depth_metres = take("depth_metres", rays, wp.float32)
+        self.depth_millimetres = take("depth_millimetres", rays, wp.uint16)
+        self.samples = take("samples", rays, wp.vec4d)
+        self.valid = take("valid", rays, wp.uint8)
+        self.rays = take("rays", rays, wp.vec4)
+        self._pinhole = HostValues(Pinhole, 1, device)
+        self._light_frames = HostValues(LightFrame, bounds.max_lights, device)
+        self.pinhole = self._pinhole.array
+        self.light_frame_of = [self._light_frames.array[k : k + 1] for k in range(bounds.max_lights)]
+        self._lights_from = [self._light_frames.array[k:] for k in range(bounds.max_lights)]
+        self.states = take("states", rays * bounds.max_lights, wp.uint8)  # light after light
+        self.queue = take("queue", bounds.queue_capacity, wp.vec2i)
+        self.queue_counts = self.host.add(wp.zeros(bounds.max_lights, dtype=int, device=device))
+        self.queue_count_of = [self.queue_counts[k : k + 1] for k in range(bounds.max_lights)]
+        # See Pass.part, by first light.
+        self.parts = self.host.add(wp.zeros(bounds.max_lights, dtype=int, device=device))
+        self.parts_of = [self.parts[k : k + 1] for k in range(bounds.max_lights)]
+        self.resume = take("resume", rays, int)
+        self.deferred = wp.zeros(1, dtype=int, device=device)  # whether a pass left rays for the next one
+        self.counters = self.host.add(wp.zeros((ROWS, len(COUNTERS)), dtype=wp.int64, device=device))
+        self.count = 0  # samples of the current frame
+        self.width = 0  # of the image they come from; 0 if they are a list of points
+        self.first = 0  # of all samples of the frame, the number of the first of these
+        self.revision = 0  # see renew
+        self._slices = Slices()
+        self.launch = Launches(device)
+
+    def set_samples(self, count: int, width: int, first: int = 0) -> None:
+        """Tell how many samples these buffers have of this frame, the width of the image they come from (0: a list of
+        points), and which is the first."""
+        self.count, self.width, self.first = count, width, first
+
+    def renew(self) -> None:
+        """Samples or rays are about to be others than in the frame before: ``revision`` is one there has not been."""
+        self.revision += 1
+
+    def lights_from(self, light: int) -> wp.array:
+        """Frames of the lights from number ``light`` on."""
+        return self._lights_from[light]
+
+    def states_of(self, light: int, lights: int = 1) -> wp.array:
+        """States of all samples for ``lights`` lights from number ``light`` on, light after light."""
+        return self._slices(self.states, light * self.count, lights * self.count)
+
+    def rays_of(self, place: int) -> wp.array:
+        """Rays of the light at ``place`` in its pass."""
+        return self._slices(self.rays, place * self.count, self.count)
+
+    def set_camera(self, pinhole: Pinhole) -> None:
+        """Tell kernels the camera of this frame."""
+        self._pinhole.write([pinhole])
+
+    def set_lights(self, frames: Sequence[LightFrame]) -> None:
+        """Tell kernels the lights of this frame; the ``number`` of each is its place."""
+        self._light_frames.write(frames)
+
+    def read_counters(self) -> dict[str, int]:
+        """Counter sums by name, as they were when last asked for."""
+        rows = self.host.read(self.counters)
+        totals = rows.sum(axis=0)
+        for column in map(COUNTERS.index, LARGEST):
+            totals[column] = rows[:, column].max()
+        return dict(zip(COUNTERS, (int(v) for v in totals), strict=True))
+
+    def nbytes(self) -> int:
+        """Bytes reserved on the device."""
+        return sum(a.capacity for a in vars(self).values() if isinstance(a, wp.array))

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known about a depth image once it has been traced."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from shadow_tracer.gpu.visibility.packed_states import PackedStates, as_bytes
+
+ByteImage = npt.NDArray[np.uint8]
+
+
+class State(IntEnum):
+    """What is known about a pixel and a light."""
+
+    LIT = 0
+    """Nothing stands between the sample and the light."""
+    SHADOWED = 1
+    """A triangle does."""
+    OUTSIDE = 2
+    """The sample is beyond the light's cone or range: not lit, not shadowed, not traced."""
+    INVALID = 3
+    """The pixel has no depth."""
+    PENUMBRA = 4
+    """Some points of a sphere light reach the sample, not all."""
+
+
+class Frame:
+    """Result of one traced depth image: a state per pixel and light, stage times and counters."""
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        shape: tuple[int, int],
+        found: PackedStates | ByteImage,
+        stages: dict[str, float],
+        counters: dict[str, int],
+        reached: dict[str, tuple[npt.NDArray[np.uint16], int]] | None = None,
+    ) -> None:
+        self.names = names
+        """Light names in the order given to :meth:`ShadowTracer.trace`."""
+        self.stages = stages
+        """Milliseconds per stage, in order."""
+        self.counters = counters
+        """What was done for all lights together: ``rays`` traced, ``nodes_visited`` of a tree, ``accepted`` ones that a
+        triangle covers, ``passes`` through a tree of rays, ``peak_queue`` entries of the fullest queue, ``leaf_tests``
+        of the float32 filter, ``retested`` pairs it could not decide, ``exact`` determinants that needed expansion
+        arithmetic, ``overflow_passes`` because the queue was full; and of the scene: ``triangles``, ``degenerate``
+        ones among them that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not
+        finite), and ``culled`` ones, which cast nothing because their front faces the last light and front faces are
+        culled; both of those that the pipeline looked at, which may leave out what is beside all rays."""
+        self._shape = shape  # (H, W)
+        self._found = found  # (L, H * W) states, or what they can be made of
+        self._reached = reached or {}  # of sphere lights: (H, W) points that reach, and how many there are
+
+    @property
+    def _states(self) -> ByteImage:
+        """(L, H, W)."""
+        return as_bytes(self._found).reshape(len(self.names), *self._shape)
+
+    def state(self, name: str) -> ByteImage:
+        """(H, W) uint8 image of :class:`State` values for the light ``name``; the caller's own."""
+        return self._states[self._number(name)].copy()
+
+    def visibility(self, name: str) -> npt.NDArray[np.float32]:
+        """(H, W) float32 share of the light ``name`` that reaches each pixel, from 0 to 1: 1 or 0 for lights without
+        size, a multiple of ``1 / samples`` for a sphere; 0 outside the light and where depth is invalid.
+
+        Raises:
+            ValueError: no such light.
+        """
+        state = self.state(name)
+        if name not in self._reached:
+            return (state == State.LIT).astype(np.float32)
+        reached, samples = self._reached[name]
+        return reached.astype(np.float32) / np.float32(samples)
+
+    def mask(self, name: str | None = None, unknown: int = 0) -> ByteImage:
+        """(H, W) uint8 visibility mask: 255 lit, 0 in shadow or outside the light, ``unknown`` where depth is invalid.
+
+        In the penumbra of a sphere light it is ``floor(255 * visibility)``, at least 1: 255 means that all of its
+        points reach, 0 that none does.
+
+        Args:
+            name: a light, or None: the largest value of any light.
+            unknown: value of pixels without depth, 0 to 255.
+
+        Raises:
+            ValueError: no such light, or ``unknown`` out of range.
+        """
+        if not 0 <= unknown <= 255:
+            raise ValueError(f"unknown: expected an integer from 0 to 255, got {unknown!r}")
+        lit = self._lit(name)
+        mask = np.negative(lit, out=lit)  # 1 becomes 255
+        for soft in self._reached if name is None else self._reached.keys() & {name}:
+            np.maximum(mask, self._penumbra(soft), out=mask)
+        if unknown:
+            mask |= self._invalid().view(np.uint8) * np.uint8(unknown)  # 0 so far: several times faster than by index
+        return mask
+
+    def _lit(self, name: str | None) -> ByteImage:
+        """(H, W) 1 where the light ``name`` reaches (None: any), else 0; the caller's own."""
+        number, found = None if name is None else self._number(name), self._found
+        if isinstance(found, PackedStates):
+            lit = found.lit_by_any() if number is None else found.lit(number)
+            return lit.reshape(self._shape)
+        # LIT is the least state.
+        state = self._states.min(axis=0) if number is None else self._states[number]
+        return (state == State.LIT).view(np.uint8)
+
+    def _invalid(self) -> npt.NDArray[np.bool_]:
+        """(H, W) where depth is invalid: there the state is INVALID for every light."""
+        if isinstance(self._found, PackedStates):
+            return self._found.invalid().reshape(self._shape)
+        return self._states[0] == State.INVALID
+
+    def _number(self, name: str) -> int:
+        if name not in self.names:
+            raise ValueError(f"name: expected one of {list(self.names)}, got {name!r}")
+        return self.names.index(name)
+
+    def bits(self) -> npt.NDArray[np.uint16]:
+        """(H, W) uint16 image in which bit i is set where light i (in the order of ``names``) reaches, of a sphere at
+        least one point; up to 16 lights."""
+        if len(self.names) > 16:
+            raise ValueError(f"bits: expected at most 16 lights, got {len(self.names)}")
+        bits = np.zeros(self._shape, dtype=np.uint16)
+        for index, name in enumerate(self.names):
+            reaches = self._lit(name)
+            if name in self._reached:
+                reaches |= self.state(name) == State.PENUMBRA
+            bits |= reaches.astype(np.uint16) << np.uint16(index)
+        return bits
+
+    def _penumbra(self, name: str) -> ByteImage:
+        """(H, W) mask values where some points of the sphere light reach, else 0."""
+        reached, samples = self._reached[name]
+        values = np.maximum(np.arange(samples + 1) * 255 // samples, 1)
+        values[[0, samples]] = 0
+        return values.astype(np.uint8)[reached]
+
+    def differing(self, other: Frame) -> int:
+        """In how many (pixel, light) pairs this frame and another one of the same image and lights differ, in state or
+        visibility.
+
+        Raises:
+            ValueError: the frames have different lights or sizes.
+        """
+        if (self.names, self._shape) != (other.names, other._shape):
+            raise ValueError(
+                f"other: expected a frame of the lights {list(self.names)} and shape {self._shape}, got one of "
+                f"{list(other.names)} and {other._shape}"
+            )
+        mine, others = ({name: soft[1] for name, soft in frame._reached.items()} for frame in (self, other))
+        if mine != others:
+            raise ValueError(f"other: expected a frame with samples of sphere lights {mine}, got one with {others}")
+        differ = self._states != other._states
+        for name, (reached, _) in self._reached.items():
+            differ[self.names.index(name)] |= reached != other._reached[name][0]
+        return int(np.count_nonzero(differ))

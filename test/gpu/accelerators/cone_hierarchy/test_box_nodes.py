@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes and start cells of variant `linear`, alone: nothing that the exact decision calls hidden is rejected or
+missing from the cells a triangle starts from, nothing it calls lit is accepted; and all of it happens often."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from node_fuzz import LIGHTS, bundles, decide_all
+
+from shadow_tracer import Bounds, ShadowTracer
+from shadow_tracer.gpu.accelerators.cone_hierarchy import descent
+from shadow_tracer.gpu.accelerators.cone_hierarchy.boxes import RayTree
+from shadow_tracer.gpu.accelerators.ray_keys import face_of
+from shadow_tracer.gpu.exact.faces import Occluders
+from shadow_tracer.gpu.exact.light_frame import make_light_frame
+from shadow_tracer.gpu.exact.light_space import LightSpace, make_light_space
+from shadow_tracer.gpu.visibility.answers import Answers
+
+_ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
+
+
+# What becomes of (triangle, node) on one face: _ABSENT if the triangle casts nothing or cannot touch the face, _BESIDE
+# for a leaf outside its cells, else the answer of the box test.
+@wp.func_native(
+    descent._THREAD
+    + r"""
+    wp::vec4 at[3];
+    const float size = corners_of(thread, 0, at);
+    if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)thread, it))
+        return -1;
+    if (!(touched_by(at, size) >> face & 1) || !look(at[0], at[1], at[2], size, face, seen))
+        return -1;
+    if (number < tree.offset.data[1]) {
+        int run[8];
+        bool within = false;
+        const int n = runs(seen, face, run);
+        for (int k = 0; k < n; ++k)
+            within = within || (run[2 * k] <= number && number <= run[2 * k + 1]);
+        if (!within)
+            return -2;
+    }
+    return box1(number);
+    """
+)
+def judge(
+    thread: int, face: int, number: int, space: LightSpace, tree: RayTree, occluders: Occluders, answers: Answers
+) -> int: ...
+
+
+@wp.kernel(enable_backward=False)
+def judge_all(space: LightSpace, tree: RayTree, occluders: Occluders, answers: Answers, out: wp.array3d(dtype=int)):
+    number, triangle, face = wp.tid()
+    out[number, triangle, face] = judge(triangle, face, number, space, tree, occluders, answers)
+
+
+@wp.kernel(enable_backward=False)
+def find_faces(rays: wp.array(dtype=wp.vec4), out: wp.array(dtype=int)):
+    i = wp.tid()
+    out[i] = face_of(rays[i])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """answers (nodes, T, 6); hidden (N, T) exact; faces (N,); nodes_of (levels, N): node number of each ray."""
+
+    answers: np.ndarray
+    hidden: np.ndarray
+    faces: np.ndarray
+    nodes_of: np.ndarray
+
+
+@cache
+def _outcome(device: str, name: str, seed: int) -> Outcome:
+    light = LIGHTS[name]
+    rays, corners = bundles(np.random.default_rng(seed), light)
+    points, triangles = rays.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)
+    bounds = Bounds(len(triangles), len(points), 1, 64, 1)
+    tracer = ShadowTracer("cone_hierarchy", "linear_scalar", device=device, bounds=bounds)
+    tracer.scene.put("mesh", corners.reshape(-1, 3), triangles)
+    engine: Any = tracer._engine.inside
+    pipeline = engine._pipeline
+    taken: list[Any] = []
+    # The tree as it is before any triangle went through it: descents close nodes that are done.
+    pipeline._descend = taken.append
+    tracer.occluded(points, light, 0.02)
+    work, space = taken[0], make_light_space(make_light_frame(light, engine._anchor))
+    tree, frame, scene = pipeline._buffers.tree, engine._frame, engine._scene
+    occluders = Occluders()
+    occluders.count, occluders.triangles = scene.triangle_count, scene.triangles
+    occluders.records = engine._context.records.memory
+    occluders.corners = pipeline._corners.of(0)
+    offset = tree.offset.numpy()
+    nodes = int(offset[tree.levels])
+    out = wp.empty((nodes, len(triangles), 6), dtype=int, device=device)
+    inputs = [space, tree, occluders, pipeline._participants.answers(work), out]
+    wp.launch(judge_all, dim=out.shape, inputs=inputs, device=device)
+    hidden = wp.empty((len(points), len(triangles)), dtype=wp.uint8, device=device)
+    homogeneous = wp.vec4d(*light.homogeneous)
+    inputs = [homogeneous, frame.samples, scene.vertices, scene.triangles, hidden]
+    wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=device)
+    faces = wp.empty(len(points), dtype=int, device=device)
+    wp.launch(find_faces, dim=len(points), inputs=[frame.rays, faces], device=device)
+    place = np.empty(len(points), int)
+    place[tree.order.numpy()[: len(points)]] = np.arange(len(points))
+    shifts = [tree.log_leaf + level * tree.log_branch for level in range(tree.levels)]
+    nodes_of = np.array([offset[level] + (place >> shift) for level, shift in enumerate(shifts)])
+    return Outcome(out.numpy(), hidden.numpy().astype(bool), faces.numpy(), nodes_of)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", LIGHTS)
+def test_no_hidden_ray_is_missed_and_no_lit_one_taken(any_device: str, name: str, seed: int) -> None:
+    outcome = _outcome(any_device, name, seed)
+    for level, nodes in enumerate(outcome.nodes_of):
+        answers = outcome.answers[nodes, :, outcome.faces]  # (N, T)
+        missed = outcome.hidden & (answers != _OPEN) & (answers != _WHOLE)
+        taken = ~outcome.hidden & (answers == _WHOLE)
+        assert not missed.any(), f"level {level}: {answers[missed][:5]} for hidden rays {np.argwhere(missed)[:3]}"
+        assert not taken.any(), f"level {level}: accepted with light at {np.argwhere(taken)[:3]}"
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_cells_and_boxes_decide(any_device: str, name: str) -> None:
+    """Most lit pairs never reach a leaf, many hidden pairs are accepted with theirs, and cells, boxes and faces all
+    have a share in it."""
+    counts = dict.fromkeys((_ABSENT, _BESIDE, _REJECTED), 0)
+    lit = whole = hidden = 0
+    for seed in range(3):
+        outcome = _outcome(any_device, name, seed)
+        answers = outcome.answers[outcome.nodes_of[0], :, outcome.faces]
+        for value in counts:
+            counts[value] += int((answers == value)[~outcome.hidden].sum())
+        lit += int((~outcome.hidden).sum())
+        hidden += int(outcome.hidden.sum())
+        whole += int((answers == _WHOLE).sum())
+    assert sum(counts.values()) > 0.75 * lit, (counts, lit)
+    assert min(counts[_BESIDE], counts[_REJECTED]) > 0.02 * lit, (counts, lit)
+    assert (counts[_ABSENT] > 0.1 * lit) == (name == "inside"), (counts, lit)
+    assert whole > 0.3 * hidden > 10_000, (whole, hidden)

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangles against the boxes of tiles, blocks and columns, alone: nothing that the exact decision calls hidden is
+rejected, nothing it calls lit is covered, by either form; and both happen often."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+from typing import Any
+
+import bundles
+import numpy as np
+import packed_grid
+import probe
+import pytest
+import warp as wp
+from node_fuzz import LIGHTS, SPREADS, TRIANGLES, decide_all
+from node_fuzz import bundles as all_bundles
+from packed_grid import LEVELS
+
+from shadow_tracer import Bounds, ShadowTracer
+from shadow_tracer.gpu.accelerators.light_grid import binning
+from shadow_tracer.gpu.accelerators.light_grid.front_wide import BOUNDS, TAKE
+from shadow_tracer.gpu.accelerators.light_grid.tile_test import SIDE_SIXTEEN
+from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
+from shadow_tracer.gpu.exact.decision import SIXTEEN
+from shadow_tracer.gpu.exact.faces import TRIANGLE, Occluders
+from shadow_tracer.gpu.exact.light_frame import make_light_frame
+from shadow_tracer.gpu.exact.light_space import LightSpace, make_light_space
+from shadow_tracer.gpu.visibility.answers import Answers
+
+# What becomes of a triangle and a box: it casts nothing, cannot touch the face or is not among the candidates; the
+# column is not among those looked up; its bounds miss the box; its planes do; it may meet the box; it covers it.
+_ABSENT, _BESIDE, _UNTOUCHED, _MISSED, _MET, _COVERED = range(6)
+
+# Expects `box`: (level, number, group, column) as in packed_grid.Boxes.
+_SCALAR = (
+    "const int place = box[2] / 6, corners_per_light = vertices;"
+    + binning._THREAD
+    + r"""
+    Side side;
+    if (!side_of(triangle, box[2] % 6, side))
+        return 0;
+    int from, to;
+    columns_of(box[2], side, from, to);
+    if (box[3] < from || box[3] > to)
+        return 1;
+    const float* boxes[3] = { tiles.boxes.data, tiles.blocks.data, tiles.columns.data };
+    bool covered;
+    return box1(boxes[box[0]], box[1], side, covered) ? (covered ? 5 : 4) : 3;
+    """
+)
+# The visit of binning_wide.py does not say what it leaves out: how it looks up columns is repeated here.
+_WIDE = (
+    "const int place = box[2] / 6, first_corner = 0, face = box[2] % 6;\n"
+    "const bool aligned = tiles.aligned.data[place] != 0;\n"
+    + TRIANGLE
+    + SIXTEEN
+    + BOUNDS
+    + SIDE_SIXTEEN
+    + TAKE
+    + r"""
+    bool listed = false;
+    for (int k = 0; k < ends.data[0]; ++k)
+        listed |= clusters.data[k] == triangle / 16;
+    if (!listed)
+        return 0;
+    const int all = gather(triangle / 16 * 16), j = triangle % 16;
+    if (!(bound(face) >> j & 1))
+        return 0;
+    take(place * occluders.count + triangle / 16 * 16, __builtin_popcount(all));
+    if (silent >> j & 1)
+        return 0;
+    const Side it = side(face, j);
+    const wp::vec4 grid = tiles.fit.data[box[2]];
+    auto cell = [&](float u) -> int {
+        const float x = (u - grid[0]) * grid[2] * 0.0625f;
+        return (int)(x > 0.0f ? (x < 255.0f ? x : 255.0f) : 0.0f);
+    };
+    const int from = tiles.lookup.data[256 * (size_t)box[2] + cell(it.u0)][0];
+    const int to = tiles.lookup.data[256 * (size_t)box[2] + cell(it.u1)][1];
+    const int unit = it.bounded && to - from < 4 ? 1 : 16;
+    if (from > to || box[3] / unit < from / unit || box[3] / unit > to / unit)
+        return 1;
+    const float* boxes[3] = { tiles.boxes.data, tiles.blocks.data, tiles.columns.data };
+    const float* sixteen = boxes[box[0]] + 96 * (size_t)(box[1] / 16);
+    const int lane = box[1] % 16;
+    if (!(touches(sixteen, it) >> lane & 1))
+        return 2;
+    int covered = 0;
+    const int met = meets(sixteen, it, covered);
+    return met >> lane & 1 ? (covered >> lane & 1 ? 5 : 4) : 3;
+    """
+)
+
+
+@wp.func_native(_SCALAR)
+def judge(
+    triangle: int, box: wp.vec4i, vertices: int, space: LightSpace, tiles: Tiles, occluders: Occluders, answers: Answers
+) -> int: ...
+
+
+@wp.func_native("#if !defined(__CUDA_ARCH__)\n" + _WIDE + "\n#else\nreturn 0;\n#endif\n")
+def judge_wide(
+    triangle: int,
+    box: wp.vec4i,
+    clusters: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    corners: wp.array(dtype=float),
+    space: LightSpace,
+    tiles: Tiles,
+    occluders: Occluders,
+    answers: Answers,
+) -> int: ...
+
+
+@wp.kernel(enable_backward=False)
+def judge_all(
+    boxes: wp.array(dtype=wp.vec4i),
+    vertices: int,
+    space: LightSpace,
+    tiles: Tiles,
+    occluders: Occluders,
+    answers: Answers,
+    out: wp.array2d(dtype=int),
+):
+    number, triangle = wp.tid()
+    out[number, triangle] = judge(triangle, boxes[number], vertices, space, tiles, occluders, answers)
+
+
+@wp.kernel(enable_backward=False)
+def judge_all_wide(
+    boxes: wp.array(dtype=wp.vec4i),
+    clusters: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    corners: wp.array(dtype=float),
+    space: LightSpace,
+    tiles: Tiles,
+    occluders: Occluders,
+    answers: Answers,
+    out: wp.array2d(dtype=int),
+):
+    number, triangle = wp.tid()
+    box = boxes[number]
+    out[number, triangle] = judge_wide(triangle, box, clusters, ends, corners, space, tiles, occluders, answers)
+
+
+_MOST_RAYS, _MOST_TRIANGLES = 1024, len(SPREADS) * TRIANGLES
+
+
+def _tracer(device: str, variant: str) -> ShadowTracer:
+    return probe.reset(_shared(device, variant))
+
+
+@cache
+def _shared(device: str, variant: str) -> ShadowTracer:
+    return ShadowTracer("light_grid", variant, device, Bounds(_MOST_TRIANGLES, _MOST_RAYS, 1, 64, 1))
+
+
+def _scenes(name: str, seed: int) -> list[Any]:
+    """(light, bias, (N, 3) samples, (T, 3, 3) triangles) of every scene."""
+    rng = np.random.default_rng([466, seed])
+    if name in LIGHTS:
+        return [(LIGHTS[name], 0.02, *scene) for scene in _in_bundles(rng, name)]
+    return [packed_grid.HARD[name](rng) for _ in range(4)]
+
+
+def _in_bundles(rng: np.random.Generator, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """All bundles together; and each alone, with more samples in it and more triangles through it."""
+    rays, corners = all_bundles(rng, LIGHTS[name])
+    scenes = [(rays.reshape(-1, 3), corners.reshape(-1, 3, 3))]
+    lamp = LIGHTS[name].homogeneous
+    for spread, points, triangles in zip(SPREADS, rays, corners, strict=True):
+        between = rng.choice([0.0, 1.0, 0.5, 0.01], (576, 1)) * (points[rng.integers(0, 64, 576)] - points[0])
+        more = np.concatenate([points, points[0] + between])
+        parts = [triangles]
+        if name == "inside":
+            axis = points.mean(axis=0) - lamp[:3]
+            for some in (bundles.edges_across, bundles.straddling):
+                parts.append(lamp[:3] + some(rng, axis, spread + 1e-6, 16)[0].reshape(-1, 3, 3))
+        scenes.append((more, np.concatenate(parts)))
+    return scenes
+
+
+def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
+    """The answers for all boxes, by level: (B, T); and how many of the rays in each a triangle hides, and the rays."""
+    engine: Any = tracer._engine.inside
+    pipeline = engine._pipeline
+    taken: list[Any] = []
+    pipeline._way.trace = lambda *inputs: taken.append(inputs)
+    light, bias, points, corners = scene
+    count = len(corners)
+    tracer.scene.put("mesh", corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+    tracer.occluded(points, light, bias)
+    work, way, wide = taken[0][0], pipeline._way, tracer.variant == "packed"
+    occluders, answers = way.occluders(work), pipeline._participants.answers(work)
+    tiles, space = pipeline._buffers.tiles, make_light_space(make_light_frame(light, engine._anchor))
+    packed = packed_grid.read(tiles)
+    if not hidden.size:
+        hidden.resize((len(points), count), refcheck=False)
+        out = wp.empty(hidden.shape, dtype=wp.uint8, device=tracer.device)
+        inputs = [wp.vec4d(*light.homogeneous), engine._frame.samples]
+        inputs += [engine._scene.vertices, engine._scene.triangles, out]
+        wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=tracer.device)
+        hidden[:] = out.numpy()
+    tile, lane = np.nonzero(packed.live)
+    position = np.full(len(packed.live), -1)
+    position[packed.boxes["tile"].number] = np.arange(len(packed.boxes["tile"].number))
+    result = {}
+    for level, places in packed.places().items():
+        boxes = packed.boxes[level]
+        rows = np.column_stack(
+            [np.full(len(boxes.number), LEVELS.index(level)), boxes.number, boxes.group, boxes.column]
+        )
+        out = wp.empty((len(rows), count), dtype=int, device=tracer.device)
+        inputs = [wp.array(rows, dtype=wp.vec4i, device=tracer.device)]
+        inputs += [way._clusters, way._ends, way._candidates.corners(work)] if wide else [3 * count]
+        inputs += [space, tiles, occluders, answers, out]
+        wp.launch(judge_all_wide if wide else judge_all, dim=out.shape, inputs=inputs, device=tracer.device)
+        index = np.searchsorted(boxes.number, places[position[tile]])
+        shadows, rays = np.zeros(out.shape, int), np.bincount(index, minlength=len(rows))
+        np.add.at(shadows, index, hidden[packed.order[tile, lane]])
+        result[level] = (out.numpy().copy(), shadows, rays[:, None])
+    return result, bool(packed.aligned[0])
+
+
+@cache
+def _outcome(device: str, name: str, seed: int, variant: str) -> list[Any]:
+    tracer, scenes = _tracer(device, variant), _scenes(name, seed)
+    return [_judge(tracer, scene, hidden) for scene, hidden in zip(scenes, _hidden(device, name, seed), strict=False)]
+
+
+@cache
+def _hidden(device: str, name: str, seed: int) -> list[np.ndarray]:
+    """Of each scene, filled by whoever is first."""
+    return [np.empty((0, 0), np.uint8) for _ in range(len(SPREADS) + 1)]
+
+
+def _variants(device: str) -> tuple[str, ...]:
+    return packed_grid.VARIANTS if probe.wide(device) else ("packed_scalar",)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", [*LIGHTS, *packed_grid.HARD])
+@pytest.mark.parametrize("variant", packed_grid.VARIANTS)
+@pytest.mark.slow
+def test_nothing_hidden_is_rejected_and_nothing_lit_covered(
+    any_device: str, variant: str, name: str, seed: int
+) -> None:
+    if variant not in _variants(any_device):
+        pytest.skip("the sixteen-wide form is for the CPU")
+    for number, (levels, _) in enumerate(_outcome(any_device, name, seed, variant)):
+        for level, (answers, shadows, rays) in levels.items():
+            missed = (shadows > 0) & (answers < _MET)
+            taken = (shadows < rays) & (answers == _COVERED)
+            where = f"scene {number}, {level}s"
+            assert not missed.any(), f"{where}: {answers[missed][:5]} for hidden rays of {np.argwhere(missed)[:3]}"
+            assert not taken.any(), f"{where}: covered, with light at {np.argwhere(taken)[:3]}"
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+@pytest.mark.parametrize("variant", packed_grid.VARIANTS)
+@pytest.mark.slow
+def test_boxes_decide(any_device: str, variant: str, name: str) -> None:
+    """Most that may be rejected is, and much of what may be covered; each step has a share in it, on cube faces and in
+    the aligned frustum."""
+    if variant not in _variants(any_device):
+        pytest.skip("the sixteen-wide form is for the CPU")
+    share: Counter[Any] = Counter()
+    modes: Counter[bool] = Counter()
+    for seed in range(3):
+        for levels, aligned in _outcome(any_device, name, seed, variant):
+            modes[aligned] += 1
+            for level, (answers, shadows, rays) in levels.items():
+                lit, dark = shadows == 0, shadows == rays
+                share[level, "lit"] += int(lit.sum())
+                share[level, "dark"] += int(dark.sum())
+                share[level, "covered"] += int((answers == _COVERED).sum())
+                for answer in (_ABSENT, _BESIDE, _UNTOUCHED, _MISSED):
+                    share[level, answer] += int((answers == answer)[lit].sum())
+    for level, least_rejected, least_covered in (("tile", 0.88, 0.78), ("block", 0.65, 0.6), ("column", 0.65, 0.6)):
+        lit, dark = share[level, "lit"], share[level, "dark"]
+        rejected = sum(share[level, answer] for answer in (_ABSENT, _BESIDE, _UNTOUCHED, _MISSED))
+        assert rejected > least_rejected * lit > 2_000, (level, share)
+        assert share[level, "covered"] > least_covered * dark > 300, (level, share)
+    lit = share["tile", "lit"]
+    assert min(share["tile", _ABSENT], share["tile", _MISSED]) > 0.05 * lit, share
+    assert share["tile", _BESIDE] > (0.005 if name == "inside" else 0.15) * lit, share
+    # the scalar form says no more than that a box is missed
+    assert share["tile", _UNTOUCHED] > 0.1 * lit or variant == "packed_scalar", share
+    assert modes[True] > 20 and (modes[False] > 10) == (name == "inside"), modes

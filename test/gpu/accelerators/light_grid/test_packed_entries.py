@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangles into the tiles of `packed` and `packed_scalar`: items, chunks, parts, flushes, and what is kept from frame
+to frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import geometry
+import numpy as np
+import packed_grid
+import probe
+import pytest
+import views
+
+from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SpotLight
+from shadow_tracer.gpu.accelerators.light_grid import packed
+from shadow_tracer.gpu.occluders import seen as records
+
+_forms = pytest.mark.parametrize("variant", packed_grid.VARIANTS)
+
+
+def _tracer(device: str, variant: str, graphs: bool = False, **capacities: int) -> ShadowTracer:
+    bounds = {"max_triangles": 4_000, "max_rays": 10_000, "max_lights": 5, "queue_capacity": 4_000}
+    return ShadowTracer(
+        "light_grid",
+        variant,
+        device,
+        Bounds(**{**bounds, "grid_entries": 100_000, **capacities}),
+        graphs=graphs,
+        threads=1,  # its lists are looked at, and shares have lists of their own
+    )
+
+
+def _states(tracer: ShadowTracer, view: views.View) -> tuple[np.ndarray, dict[str, int]]:
+    """(lights, H, W) states and the counters."""
+    if "mesh" not in tracer.scene:
+        tracer.scene.put("mesh", view.vertices, view.triangles)
+    frame = tracer.trace(view.depth, view.camera, view.lights, view.bias)
+    return np.stack([frame.state(light.name) for light in view.lights]), frame.counters
+
+
+_LIGHTS = (
+    PointLight("inside", (0.1, 0.2, 3.3)),
+    PointLight("outside", (3.0, -4.0, -1.0)),
+    DirectionalLight("sun", (-0.3, 0.4, 0.8)),
+    SpotLight("spot", (0.3, -0.5, 0.5), (0.0, 0.1, 1.0), 0.4),
+    PointLight("far", (3e4, -2e4, -4e4)),
+)
+
+
+def _view(width: int, height: int, lights: tuple[Any, ...], *meshes: geometry.Geometry) -> views.View:
+    rng = np.random.default_rng(470)
+    camera = Camera(width, height, 0.9 * width, 0.9 * width, 0.5 * width - 0.5, 0.5 * height - 0.5)
+    depth = rng.uniform(2.0, 5.0, (height, width)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.1] = 0.0
+    vertices, triangles = geometry.join(meshes)
+    return views.View(vertices + [0.0, 0.0, 3.0], triangles, depth, camera, lights, 0.01)
+
+
+@cache
+def _crowd() -> tuple[views.View, np.ndarray]:
+    """40 triangles before 192 pixels, five lights."""
+    rng = np.random.default_rng(471)
+    view = _view(16, 12, _LIGHTS, geometry.soup(rng, 32, 0.3, 1.0), geometry.soup(rng, 8, 2.0, 2.0))
+    return view, views.expected_states(view)
+
+
+# --- triangles over many columns ---
+
+
+@cache
+def _huge() -> tuple[views.View, np.ndarray]:
+    """Triangles as large as the view, some small ones, and 18,700 rays: 19 columns and more in one frustum."""
+    rng = np.random.default_rng(472)
+    meshes = (geometry.soup(rng, 12, 4.0, 3.0), geometry.slivers(rng, 20, 8.0, 300.0), geometry.soup(rng, 60, 0.1, 2.0))
+    view = _view(160, 130, (_LIGHTS[0], _LIGHTS[2]), *meshes)
+    tracer = ShadowTracer("brute_force", "filtered", "cpu", Bounds(100, 41_600, 2))
+    return view, _states(tracer, view)[0]
+
+
+@_forms
+def test_large_triangles(any_device: str, variant: str) -> None:
+    view, expected = _huge()
+    tracer = _tracer(any_device, variant, max_rays=41_600)
+    for _ in range(2):
+        np.testing.assert_array_equal(_states(tracer, view)[0], expected)
+    tiles: Any = tracer._engine.inside._pipeline._buffers.tiles
+    assert tiles.groups.numpy()[6 + 4, 4] > 16
+
+
+@pytest.mark.parametrize("places", [0, 1, 3, 5, 70_000])
+def test_large_triangles_become_items(monkeypatch: Any, any_device: str, places: int) -> None:
+    view, expected = _huge()
+    monkeypatch.setattr(packed, "_MOST_ITEMS", places)
+    tracer = _tracer(any_device, "packed_scalar", max_rays=41_600)
+    bins: Any = tracer._engine.inside._pipeline._way._bins
+    assert bins.items.shape[0] == min(places, 64 * 4_000)
+    for _ in range(2):
+        states, counters = _states(tracer, view)
+        np.testing.assert_array_equal(states, expected)
+    used = int(bins.item_count.numpy()[0])
+    items = bins.items.numpy()[:used]
+    assert used > 50 if places == 70_000 else used <= places
+    if places >= 5:
+        assert used > 0 and (items[:, 3] - items[:, 2] < 4).all() and set(items[:, 1]) <= {0, 1, 2, 3, 4, 5}
+    monkeypatch.undo()
+    plain = _tracer(any_device, "packed_scalar", max_rays=41_600)
+    assert _states(plain, view)[1]["entries"] == counters["entries"]
+    few = _tracer(any_device, "packed_scalar", max_rays=41_600, grid_entries=counters["entries"] // 5)
+    states, counters = _states(few, view)
+    np.testing.assert_array_equal(states, expected)
+    assert counters["overflow_passes"] in (5, 6)
+
+
+# --- long lists ---
+
+
+@cache
+def _pile(count: int) -> views.View:
+    """``count`` triangles before 25 pixels, which are one tile: every triangle has a corner among its rays, so that it
+    misses none of their box and covers none of it."""
+    rng = np.random.default_rng(473)
+    camera = Camera(5, 5, 50.0, 50.0, 2.0, 2.0)
+    heights = rng.uniform(0.5, 0.9, count)
+    corners = np.array([(0.0, 0.0, 1.0), (9.0, 2.0, 1.0), (9.0, -2.0, 1.0)]) * heights[:, None, None]
+    corners[:, :, :2] += rng.uniform(-1e-3, 1e-3, (count, 1, 2))
+    triangles = np.arange(3 * count).reshape(-1, 3)
+    light = DirectionalLight("sun", (0.0, 0.0, 1.0))
+    return views.View(corners.reshape(-1, 3), triangles, np.full((5, 5), 1.0, np.float32), camera, (light,), 0.0)
+
+
+@_forms
+@pytest.mark.parametrize("count", [1, 255, 256, 257, 512, 513, 1200])
+def test_long_lists_are_cut(any_device: str, variant: str, count: int) -> None:
+    view = _pile(count)
+    states, counters = _states(_tracer(any_device, variant), view)
+    np.testing.assert_array_equal(states, views.expected_states(view))
+    assert counters["entries"] == counters["largest_tile"] == count
+    if variant == "packed_scalar" or not probe.wide(any_device):
+        assert counters["splits"] == -(-count // 256) - 1
+
+
+@pytest.mark.parametrize("entries", [1, 255, 256, 300, 600])
+def test_lists_cut_by_parts_and_chunks(any_device: str, entries: int) -> None:
+    """600 entries of one tile: the first part is done twice, once before it is known that it is a part."""
+    view = _pile(600)
+    states, counters = _states(_tracer(any_device, "packed_scalar", grid_entries=entries), view)
+    np.testing.assert_array_equal(states, views.expected_states(view))
+    parts = [min(entries, 600 - first) for first in range(0, 600, entries)]
+    again = parts[:1] if len(parts) > 1 else []
+    assert counters["splits"] == sum(-(-part // 256) - 1 for part in again + parts)
+    assert counters["entries"] == counters["largest_tile"] == 600
+    assert counters["overflow_passes"] == (len(parts) if len(parts) > 1 else 0)
+
+
+# --- fewer entries than there are ---
+
+
+def _entries_of(device: str, variant: str, view: views.View) -> list[int]:
+    """Entries of each light."""
+    tracer = _tracer(device, variant)
+    return [_states(tracer, replace(view, lights=(light,)))[1]["entries"] for light in view.lights]
+
+
+@pytest.mark.parametrize("graphs", [False, True])
+@pytest.mark.parametrize("together", [1, 2, 5])
+def test_parts(any_device: str, together: int, graphs: bool) -> None:
+    """Any capacity: the same bytes; each pass that needs several parts does all of them after the first look, and
+    entries are counted once."""
+    view, expected = _crowd()
+    alone = _entries_of(any_device, "packed_scalar", view)
+    total = sum(alone)
+    passes = [sum(alone[first : first + together]) for first in range(0, 5, together)]
+    assert min(alone) > 10
+    some = (passes[0] - 1, passes[0], passes[0] + 1, total - 1, total, total + 1)
+    for entries in (29, passes[0], total - 1, total) if graphs else (1, 7, *some):
+        tracer = _tracer(any_device, "packed_scalar", graphs, grid_entries=entries, max_rays=192 * together)
+        parts = [-(-needed // entries) for needed in passes]
+        for _ in range(3 if graphs else 1 if entries == 1 else 2):
+            states, counters = _states(tracer, view)
+            np.testing.assert_array_equal(states, expected)
+            assert counters["entries"] == total
+            assert counters["overflow_passes"] == sum(count for count in parts if count > 1)
+        engine: Any = tracer._engine.inside
+        assert engine._graphs.recorded() == (1 if graphs else 0)
+
+
+@_forms
+@pytest.mark.parametrize("together", [1, 2, 5])
+@pytest.mark.parametrize("queue", [1, 40])
+@pytest.mark.slow
+def test_parts_with_a_full_queue(any_device: str, variant: str, queue: int, together: int) -> None:
+    """Pixels on the triangles themselves, seen from lights in their planes and at their corners."""
+    view = _touching()
+    expected = views.expected_states(view)
+    for entries in (1, 7, 60):
+        for graphs in (False, True):
+            capacities = {"grid_entries": entries, "queue_capacity": queue, "max_rays": view.depth.size * together}
+            tracer = _tracer(any_device, variant, graphs, **capacities)
+            for _ in range(3 if graphs else 1):
+                states, counters = _states(tracer, view)
+                np.testing.assert_array_equal(states, expected)
+            assert queue > 1 or counters["overflow_passes"] > 2
+
+
+@cache
+def _touching() -> views.View:
+    vertices, triangles = geometry.join(
+        [geometry.square(axis, float(at), 2.0) for axis in range(3) for at in (-1, 0, 1, 2)]
+    )
+    pose = geometry.pose_of(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, 2.0))
+    depth = np.tile(np.array([1.0, 2.0, 4.0, 3.0], np.float32)[:, None], (1, 5))
+    lights = (
+        PointLight("lamp", (0.25, 0.5, 3.0)),
+        PointLight("corner", (2.0, 2.0, 2.0)),
+        DirectionalLight("sun", (1.0, 2.0, -4.0)),
+        PointLight("middle", (0.0, 0.0, 0.25)),
+        DirectionalLight("level", (1.0, 1.0, 0.0)),
+    )
+    return views.View(vertices, triangles, depth, Camera(5, 4, 4.0, 4.0, 2.0, 1.5, pose), lights, 0.0)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("graphs", [False, True])
+@pytest.mark.parametrize("together", [1, 2, 5])
+def test_flushes(together: int, graphs: bool) -> None:
+    """The same for lists of the wide form: as many flushes as full lists, fewer entries the earlier tiles are done."""
+    view, expected = _crowd()
+    alone = _entries_of("cpu", "packed", view)
+    total = sum(alone)
+    passes = [sum(alone[first : first + together]) for first in range(0, 5, together)]
+    before = 0
+    for entries in (1, 7, passes[0] - 1, passes[0], passes[0] + 1, total - 1, total, total + 1):
+        tracer = _tracer("cpu", "packed", graphs, grid_entries=entries, max_rays=192 * together)
+        for _ in range(4 if graphs else 2):
+            states, counters = _states(tracer, view)
+            np.testing.assert_array_equal(states, expected)
+        assert before <= counters["entries"] <= total or entries < passes[0]
+        before = counters["entries"]
+        full = counters["entries"] / entries
+        assert max(0.0, full - len(passes)) <= counters["overflow_passes"] <= full
+        if entries >= max(passes):
+            assert counters["overflow_passes"] == 0 and counters["entries"] == total
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("entries", [1, 2, 3, 64, 65, 1000])
+def test_finished_tiles_take_no_more_entries(entries: int) -> None:
+    """50 squares behind each other: the two triangles of the first hide all rays, but neither covers their box."""
+    camera = Camera(5, 5, 50.0, 50.0, 2.0, 2.0)
+    vertices, triangles = geometry.join([geometry.square(2, 0.3 + 0.01 * k, 1.0, (0.01, 0.0)) for k in range(50)])
+    depth = np.full((5, 5), 1.0, np.float32)
+    view = views.View(vertices, triangles, depth, camera, (DirectionalLight("sun", (0.0, 0.0, 1.0)),), 0.0)
+    states, counters = _states(_tracer("cpu", "packed", grid_entries=entries), view)
+    assert (states == 1).all()
+    # a full list is traced when there is one more entry, and that one is for a tile that is done by then
+    assert counters["entries"] == min(max(entries, 2), 100)
+    assert counters["overflow_passes"] == (1 if entries == 1 else 0)
+
+
+# --- what is kept from frame to frame ---
+
+
+@_forms
+@pytest.mark.parametrize("room, made", [(3, [3, 0]), (2, [3, 2]), (1, [3, 3])])
+def test_lights_that_stay_keep_their_triangles(
+    monkeypatch: Any, any_device: str, variant: str, room: int, made: list[int]
+) -> None:
+    """As many as there is room for: with two places for three lights, the first and the last take turns."""
+    rng = np.random.default_rng(474)
+    view = _view(24, 18, _LIGHTS[:3], geometry.soup(rng, 80, 0.25, 1.0))
+    calls: list[Any] = []
+    begin = records.TriangleRecords.begin
+
+    def counted(self: Any, frame: Any) -> bool:
+        made = begin(self, frame)
+        calls.extend([1] * made)
+        return made
+
+    monkeypatch.setattr(records.TriangleRecords, "begin", counted)
+    tracer = _tracer(any_device, variant, max_triangles=80 * room)
+    engine: Any = tracer._engine.inside
+    anchors = []
+    for step in range(2):
+        pose = geometry.pose_of(np.eye(3), (0.05 * step, -0.03 * step, 0.02 * step))
+        depth = np.where(view.depth > 0, view.depth * np.float32(1.0 - 0.01 * step), 0.0).astype(np.float32)
+        now = replace(view, depth=depth, camera=replace(view.camera, camera_to_world=pose))
+        calls.clear()
+        states, _ = _states(tracer, now)
+        assert len(calls) == made[step]
+        anchors.append(engine._anchor)
+        np.testing.assert_array_equal(states, _states(_tracer(any_device, variant), now)[0])
+        np.testing.assert_array_equal(states, views.expected_states(now))
+    assert anchors[0] == anchors[1]
+    calls.clear()
+    tracer.scene.deform("mesh", view.vertices * 1.001)
+    states, _ = _states(tracer, now)
+    assert len(calls) == 3
+    np.testing.assert_array_equal(states, views.expected_states(now, view.vertices * 1.001))

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bands of the image that take equally long: where cuts go for given times, and that nothing else changes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import geometry
+import numpy as np
+import pytest
+
+from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
+from shadow_tracer.gpu.engine.balance import Balance
+from shadow_tracer.gpu.engine.cuts import image_cuts
+
+_BOUNDS = Bounds(max_triangles=4000, max_rays=65536, max_lights=1)
+_CAMERA = Camera(256, 256, 200.0, 200.0, 127.5, 127.5)
+_LAMP = PointLight("lamp", (0.3, -1.0, 0.5))
+
+
+def _depth(step: int = 0) -> np.ndarray:
+    return np.random.default_rng(step).uniform(3.5, 4.5, (256, 256)).astype(np.float32)
+
+
+def _rows(cuts: list[tuple[int, int]], width: int = 256) -> list[int]:
+    return [end // width for _, end in cuts[:-1]]
+
+
+@pytest.mark.parametrize("shares", [2, 3, 8])
+def test_cuts_settle_where_bands_take_equally_long(shares: int) -> None:
+    """Work that grows downwards: row r takes r + 20."""
+    balance, depth, work = Balance(shares), _depth(), np.arange(256) + 20.0
+    spread = []
+    for _ in range(60):
+        cuts = balance.cut(depth, depth.size)
+        assert cuts[0][0] == 0 and cuts[-1][1] == depth.size
+        assert all(one[1] == other[0] for one, other in zip(cuts[:-1], cuts[1:], strict=True))
+        times = [work[first // 256 : end // 256].sum() for first, end in cuts]
+        spread.append(max(times) / np.mean(times))
+        balance.learn(times)
+    assert spread[0] > 1.3 and spread[-1] < 1.04 + 4 * 275.0 / (work.sum() / shares)  # cuts are at every fourth row
+    assert len(set(spread[-20:])) == 1, "they rest once they are good enough"
+
+
+def test_the_first_moves_are_quick_and_further_ones_take_a_median() -> None:
+    balance, depth = Balance(2), _depth()
+
+    def row() -> int:
+        return _rows(balance.cut(depth, depth.size))[0]
+
+    assert row() == 128
+    balance.learn([3.0, 2.0])
+    first = row()
+    balance.learn([3.0, 2.0])
+    second = row()
+    assert 128 > first > second
+    for times in ([2.0, 2.01], [9.0, 2.0], [2.0, 2.01]):  # one of them an accident
+        balance.learn(times)
+        assert row() == second
+    balance.learn([2.0, 2.0])
+    assert row() == second
+    for _ in range(4):
+        assert row() == second
+        balance.learn([2.0, 3.0])
+    assert row() > second
+
+
+def test_no_cut_goes_far_at_once() -> None:
+    balance, depth = Balance(2), _depth()
+    balance.cut(depth, depth.size)
+    balance.learn([1.0, 1000.0])
+    assert 128 < _rows(balance.cut(depth, depth.size))[0] <= 128 + 0.15 * 256 + 4
+
+
+def test_a_difference_that_is_not_worth_it_moves_nothing() -> None:
+    balance, depth = Balance(2), _depth()
+    before = balance.cut(depth, depth.size)
+    for _ in range(20):
+        balance.learn([1.03, 0.97])
+    assert balance.cut(depth, depth.size) == before
+
+
+def test_room_comes_first() -> None:
+    """Where there is room for an even share only, cuts stay, and do not jump when there is room again."""
+    balance, depth = Balance(2), _depth()
+    for _ in range(12):
+        cuts = balance.cut(depth, depth.size // 2)
+        assert _rows(cuts) == [128]
+        balance.learn([2.0, 1.0])
+    assert _rows(balance.cut(depth, depth.size))[0] >= 128 - 0.15 * 256 - 4
+
+
+@pytest.mark.parametrize("at", [[0.5], [0.2, 0.9], [0.25, 0.5, 0.75]])
+def test_where_cuts_are_is_told(at: list[float]) -> None:
+    """In parts of the measurements above them, one row of sixty-four or less beside where they were wanted."""
+    depth = _depth()
+    depth[:100] = 0.0
+    cuts, edges = image_cuts(depth, at, depth.size)
+    assert np.allclose(edges, at, atol=1.5 / 40)
+    above = [(depth[:row] > 0).mean(axis=1).sum() + 0.1 * row for row in _rows(cuts)]
+    assert np.allclose(edges, np.array(above) / (156 + 25.6), atol=1e-6)
+
+
+def test_bands_lie_in_the_image_one_after_the_other() -> None:
+    """Wherever cuts are wanted and measurements are, in images that rows are sampled of unevenly."""
+    rng, empty = np.random.default_rng(11), 0
+    for _ in range(3000):
+        height, width = (int(n) for n in rng.choice([1, 2, 3, 37, 64, 65, 100, 251, 480, 512], 2))
+        depth = np.zeros((height, width), np.float32)
+        first, last = sorted(rng.integers(0, height + 1, 2))
+        depth[first:last] = 2.0
+        shares = int(rng.integers(1, 9))
+        room = int(-(-depth.size // shares) * rng.choice([1.0, 1.25, 4.0, 9.0])) + 1
+        cuts, edges = image_cuts(depth, np.sort(rng.choice([0.0, 1.0, rng.random()], shares - 1)), room)
+        assert cuts[0][0] == 0 and cuts[-1][1] == depth.size and len(cuts) == shares == len(edges) + 1
+        assert all(one[1] == other[0] for one, other in zip(cuts[:-1], cuts[1:], strict=True))
+        assert all(0 <= end - begin <= room for begin, end in cuts)
+        assert all(0.0 <= one <= other <= 1.0 for one, other in zip([0.0, *edges], [*edges, 1.0], strict=True))
+        empty += any(begin == end for begin, end in cuts)
+    assert empty > 100
+
+
+@pytest.mark.parametrize("threads", [2, 16])
+def test_measurements_below_the_last_cut_there_can_be(threads: int) -> None:
+    """Seven rows are sampled as one, and 480 are not a multiple: a cut after the last of them is no cut."""
+    bounds = Bounds(max_triangles=4000, max_rays=2 * 480 * 640, max_lights=1)
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    depth = np.full((480, 640), np.nan, np.float32)
+    depth[473:] = 4.0
+    found = []
+    for count in (1, threads):
+        tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=bounds, threads=count)
+        tracer.scene.put("ball", *geometry.icosphere(2, 0.8, (0.0, 1.5, 2.5)))
+        for balance in tracer._engine.inside._balances.values():
+            balance._wanted = np.sqrt(balance._wanted)
+        found.append([tracer.trace(depth, camera, [_LAMP]).state("lamp") for _ in range(2)])
+    assert np.array_equal(found[0], found[1]) and {0, 3} <= set(np.unique(found[0]))
+
+
+def test_a_band_without_pixels_gets_some_again() -> None:
+    """Eight bands of an image whose work is in its first rows, then of one whose work is everywhere."""
+    balance, depth = Balance(8), _depth()
+    for work in (np.r_[np.full(4, 1000.0), np.full(252, 0.01)], np.ones(256)):
+        for _ in range(160):
+            cuts = balance.cut(depth, depth.size)
+            balance.learn([work[first // 256 : end // 256].sum() for first, end in cuts])
+    times = [end - first for first, end in balance.cut(depth, depth.size)]
+    assert max(times) <= 1.2 * np.mean(times)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("names", ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"])
+def test_moving_cuts_change_no_bit(names: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every frame is cut elsewhere, at one side of the image or the other."""
+    tracer = ShadowTracer(*names.split("/"), device="cpu", bounds=_BOUNDS, threads=2)
+    one = ShadowTracer(*names.split("/"), device="cpu", bounds=_BOUNDS, threads=1)
+    rng, counts = np.random.default_rng(3), set()
+    vertices, triangles = geometry.icosphere(3, 0.8, (0.0, 0.0, 2.5))
+    engine: Any = tracer._engine.inside
+    for balance in engine._balances.values():
+        monkeypatch.setattr(balance, "learn", lambda times, it=balance: it.__setattr__("_wanted", rng.uniform(0, 1, 1)))
+    for step in range(10):
+        for each in (tracer, one):
+            each.scene.put("ball", vertices * (1.0 + 0.01 * step), triangles)
+        depth = _depth(step)
+        found, expected = (each.trace(depth, _CAMERA, [_LAMP]).state("lamp") for each in (tracer, one))
+        assert np.array_equal(found, expected) and {0, 1} <= set(np.unique(found))
+        counts.add(tuple(share.frame.count for share in engine._team))
+    assert len(counts) > 5 and max(max(pair) for pair in counts) <= 0.625 * 65536
+
+
+@pytest.mark.wide
+def test_the_same_image_is_cut_as_before() -> None:
+    """Else its rays would be made again. What a frame with kept rays takes teaches nothing."""
+    tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=_BOUNDS, threads=2)
+    tracer.scene.put("ball", *geometry.icosphere(3, 0.8, (0.0, 0.0, 2.5)))
+    engine: Any = tracer._engine.inside
+    (balance,) = engine._balances.values()
+    for step in range(3):
+        tracer.trace(_depth(step), _CAMERA, [_LAMP])
+    learned, again = [], []
+    balance.learn = learned.append
+    balance._wanted = np.array([0.4])
+    depth = _depth(9)
+    for _ in range(3):
+        tracer.trace(depth, _CAMERA, [_LAMP])
+        again.append([share._again for share in engine._team])
+        balance._wanted = balance._wanted + 0.02
+    assert again == [[False, False], [True, True], [True, True]]
+    assert len(learned) == 1 and len(learned[0]) == 2 and all(seconds > 0.0 for seconds in learned[0])
+
+
+@pytest.mark.wide
+def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
+    tracer = ShadowTracer("auto", device="cpu", bounds=_BOUNDS, threads=2)
+    engine: Any = tracer._engine.inside
+    assert set(engine._balances) == {names for names, team in engine._teams.items() if len(team) == 2}
+    assert len({id(balance) for balance in engine._balances.values()}) == len(engine._balances) >= 2
+    single = ShadowTracer("mesh_bvh", device="cpu", bounds=_BOUNDS, threads=2)
+    assert single._engine.inside._balances == {}
