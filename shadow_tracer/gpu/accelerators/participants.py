@@ -21,7 +21,7 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.counters import LEAF_TESTS
 from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.exact.decision import NO, filter_pair, is_ray, ray_magnitude
@@ -38,6 +38,7 @@ WILD = wp.constant(2)
 _WILD_THREADS_CUDA = 16384
 # Samples per thread on the CPU.
 _BLOCK = wp.constant(256)
+native.constants(ADMIT_BLOCK=_BLOCK, WILD=WILD)
 
 
 @wp.func
@@ -70,35 +71,7 @@ def admit_all(
         group[i] = wp.uint8(ABSENT)
 
 
-# admit_all for a block of up to 256 samples; the first loop is for vector registers.
-@wp.func_native(
-    r"""
-    wp::uint8 kind[256];
-    const int n = count - first < 256 ? count - first : 256;
-    const wp::vec4* ray = rays.data + first;
-    const wp::uint8* state = states.data + first;
-    int wilds = 0;
-    for (int j = 0; j < n; ++j) {
-        const float x = fabsf(ray[j][0]), y = fabsf(ray[j][1]), z = fabsf(ray[j][2]);
-        float size = x > y ? x : y;
-        size = size > z ? size : z;
-        const float sum = x + y + z + fabsf(ray[j][3]) + 1.0f;
-        const int fits = (sum <= 4194304.0f * size) & (sum < 1.0e30f);
-        const int takes_part = ((state[j] == 0) | (state[j] == 4)) & (ray[j][0] == ray[j][0]);
-        kind[j] = (wp::uint8)(takes_part * (2 - fits));
-        wilds += takes_part & (1 - fits);
-    }
-    for (int j = 0; j < n; ++j) {
-        group.data[first + j] = kind[j];
-        resume.data[first + j] = 0;
-    }
-    for (int j = 0; wilds > 0; ++j)
-        if (kind[j] == 2) {
-            wild.data[counts.data[1]++] = first + j;
-            --wilds;
-        }
-    """
-)
+@native.func_native("accelerators/admit.h", calls="Admit::block")
 def admit_block(
     first: int,
     count: int,

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.exact.determinant import DETERMINANT
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.light_frame import LIT, PENDING
 
 NO = wp.constant(0)
@@ -33,60 +33,7 @@ MAYBE = wp.constant(2)
 MAGNITUDE_FLOOR = 2.0**-20
 
 
-@wp.func_native(
-    DETERMINANT
-    + r"""
-    // Corners in canonical order: whatever is rounded below is the same for every order and winding.
-    wp::vec3d v[3] = { a, b, c };
-    auto before = [](const wp::vec3d& x, const wp::vec3d& y) {
-        return x[0] != y[0] ? x[0] < y[0] : x[1] != y[1] ? x[1] < y[1] : x[2] < y[2];
-    };
-    auto order = [&](int i, int j) {
-        if (before(v[j], v[i])) {
-            wp::vec3d t = v[i];
-            v[i] = v[j];
-            v[j] = t;
-        }
-    };
-    order(0, 1);
-    order(1, 2);
-    order(0, 1);
-
-    const wp::vec3d p(sample[0], sample[1], sample[2]);
-    const double bias = sample[3];
-    // Question 0: on which side of the plane is the light; 1: is the sample on the other; 2 to 4: the planes through
-    // the light and an edge. One call in a loop that stays a loop, or compilers inline the expansion arithmetic five
-    // times.
-    double value[5];
-    int light_side = 0;
-#pragma unroll 1
-    for (int question = 0; question < 5; ++question) {
-        const int k = question - 2;
-        const wp::vec4d from = question == 1 ? wp::vec4d(p[0], p[1], p[2], 1.0) : light;
-        const wp::vec3d r = question < 2 ? v[1] : p;
-        const wp::vec3d s = question < 2 ? v[2] : v[(k + 1) % 3];
-        const wp::vec3d o = question < 2 ? v[0] : v[k];
-        const int side = determinant(from, r, s, o, value[question]);
-        if (question == 0)
-            light_side = side;
-        if (question == 0 ? side == 0 : question == 1 ? side * light_side >= 0 : side * light_side > 0)
-            return exact_used << 1;
-    }
-    if (bias > 0.0) {
-        // The biased start p + bias * (l - p) / |l - p| is still behind the plane iff A |l - p| > bias (D + A), with A
-        // and D the distances of p and l from the plane; for a light at infinity iff A |s| > bias D.
-        double x = light[0], y = light[1], z = light[2];
-        double behind = absolute(value[1]), front = absolute(value[0]);
-        if (light[3] != 0.0) {
-            x = sub(x, p[0]); y = sub(y, p[1]); z = sub(z, p[2]);
-            front = add(front, behind);
-        }
-        if (!(mul(behind, norm(x, y, z)) > mul(bias, front)))
-            return exact_used << 1;
-    }
-    return (exact_used << 1) | 1;
-    """
-)
+@native.func_native("exact/decision.h", calls="Decision::of")
 def decide(sample: wp.vec4d, light: wp.vec4d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> int:
     """The decision: bit 0 is set iff the triangle keeps the light from the sample (x, y, z, bias); the other bits
     count the determinants that needed expansion arithmetic. All of it is in scene coordinates as given, float64."""
@@ -123,32 +70,6 @@ FILTER = r"""
     };
 """
 
-# The same for n rays given as separate coordinates and magnitudes: written so that the CPU's compiler puts the loop
-# into vector registers. Fills answer with 0, 1 or 2 and returns whether any is not 0.
-FILTER_BLOCK = r"""
-    auto filter_block = [](const float* record, int n, const float* U, const float* V, const float* W, const float* Z,
-                           const float* M, int* answer) -> int {
-        const float a0 = record[0], a1 = record[1], a2 = record[2], a3 = record[3];
-        const float b0 = record[4], b1 = record[5], b2 = record[6], b3 = record[7];
-        const float c0 = record[8], c1 = record[9], c2 = record[10], c3 = record[11];
-        const float p0 = record[12], p1 = record[13], p2 = record[14], p3 = record[15];
-        int any = 0;
-        for (int j = 0; j < n; ++j) {
-            const float edge = a3 * (M[j] + fabsf(W[j])), depth = b3 * M[j] + c3;
-            const float e0 = a0 * U[j] + a1 * V[j] + a2 * W[j];
-            const float e1 = b0 * U[j] + b1 * V[j] + b2 * W[j];
-            const float e2 = c0 * U[j] + c1 * V[j] + c2 * W[j];
-            const float g = p0 * U[j] + p1 * V[j] + p2 * Z[j] - p3;
-            const int no = (e0 < -edge) | (e1 < -edge) | (e2 < -edge) | (g < -depth);
-            const int yes = (e0 > edge) & (e1 > edge) & (e2 > edge) & (g > depth);
-            answer[j] = (1 - no) * (2 - yes);
-            any |= answer[j];
-        }
-        return any;
-    };
-"""
-
-
 # The same for sixteen rays, [U V W Z magnitude][ray], as bit masks: of those the answer is not no for, and yes for. For
 # Clang, that is for the CPU: its vector types become whatever registers there are.
 SIXTEEN = r"""
@@ -159,6 +80,8 @@ SIXTEEN = r"""
         return __builtin_bit_cast(unsigned short, __builtin_convertvector(x, SixteenBits));
     };
 """
+
+
 FILTER_SIXTEEN = (
     SIXTEEN
     + r"""
@@ -180,7 +103,16 @@ FILTER_SIXTEEN = (
 )
 
 
-@wp.func_native(FILTER + "return filter(ray, magnitude, (const wp::vec4*)records.data + 4 * (size_t)triangle);")
+@wp.func_native(
+    native.snippet(
+        "exact/filter.h",
+        call="""
+    int yes = 0;
+    const float* record = (const float*)records.data + 16 * (size_t)triangle;
+    return Filter1::possible(record, ray[0], ray[1], ray[2], ray[3], magnitude, yes) ? 2 - yes : 0;
+    """,
+    )
+)
 def filter_pair(ray: wp.vec4, magnitude: float, records: wp.array2d(dtype=wp.vec4), triangle: int) -> int:
     """NO, YES or MAYBE from the float32 record of a triangle."""
     ...

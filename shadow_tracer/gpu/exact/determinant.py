@@ -14,13 +14,15 @@ grow-expansion, compress) follow Shewchuk, "Adaptive Precision Floating-Point Ar
 Predicates", 1997; ``docs/exactness.md`` has the error bound of tier 1 and the range of validity (no overflow or
 underflow: magnitudes of coordinates and of their non-zero differences between 1e-60 and 1e60).
 
-The code is C++ inside ``wp.func_native`` because contraction of ``a*b + c`` must be off here, whatever the module's
-options are: Clang is told by a pragma, CUDA by the ``_rn`` intrinsics, which are never contracted.
+The code is C++ (``arithmetic.h``, ``determinant.h``) because contraction of ``a*b + c`` must be off here, whatever the
+module's options are: Clang is told by a pragma, CUDA by the ``_rn`` intrinsics, which are never contracted.
 """
 
 from __future__ import annotations
 
 import warp as wp
+
+from shadow_tracer.gpu.device import native
 
 # Room for the expansion. Components do not overlap and compress() packs them, so n components cover at least (n - 2) *
 # 53 bits; the domain above spans fewer than 1600 bits.
@@ -178,26 +180,28 @@ _DETERMINANT = (
 DETERMINANT = ARITHMETIC + _DETERMINANT
 
 
-@wp.func_native(DETERMINANT + "double value; return determinant(q, r, s, o, value);")
+@wp.func_native(
+    native.snippet(
+        "exact/determinant.h",
+        call="double value; int exact_used = 0; return Determinant::sign(q, r, s, o, value, exact_used);",
+    )
+)
 def determinant_sign(q: wp.vec4d, r: wp.vec3d, s: wp.vec3d, o: wp.vec3d) -> int:
     """Sign (-1, 0, 1) of det[q.xyz - q.w*o, r - o, s - o] with q.w either 0 or 1, exact."""
     ...
 
 
-@wp.func_native(ARITHMETIC + "return norm(x, y, z);")
+@native.func_native("exact/arithmetic.h", calls="Arithmetic::norm")
 def norm3(x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
     """Euclidean norm without contraction: the same bits on every device."""
     ...
 
 
 @wp.func_native(
-    ARITHMETIC
-    + r"""
-    auto row = [&](const wp::vec4d& m) {
-        return add(add(add(mul(m[0], v[0]), mul(m[1], v[1])), mul(m[2], v[2])), m[3]);
-    };
-    return wp::vec3d(row(row0), row(row1), row(row2));
-    """
+    native.snippet(
+        "exact/arithmetic.h",
+        call="return wp::vec3d(Arithmetic::row(row0, v), Arithmetic::row(row1, v), Arithmetic::row(row2, v));",
+    )
 )
 def transform_point(row0: wp.vec4d, row1: wp.vec4d, row2: wp.vec4d, v: wp.vec3d) -> wp.vec3d:
     """((r0 x + r1 y) + r2 z) + t per row, without contraction: the bits of ``Mesh.world_vertices`` and

@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.exact.determinant import ARITHMETIC
+from shadow_tracer.gpu.device import native
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.lights import HardLight
 
@@ -31,6 +31,7 @@ SHADOWED = wp.constant(1)
 OUTSIDE = wp.constant(2)
 INVALID = wp.constant(3)
 PENDING = wp.constant(4)
+native.constants(LIT=LIT, SHADOWED=SHADOWED, OUTSIDE=OUTSIDE, INVALID=INVALID, PENDING=PENDING)
 
 
 @wp.struct
@@ -116,40 +117,13 @@ def _make(
     return frame
 
 
-# State of a sample before any triangle is looked at. Without contraction, so that the border of the cone has the same
-# bits everywhere.
-@wp.func_native(
-    ARITHMETIC
-    + r"""
-    if (light[3] == 0.0)
-        return 0;
-    double x = sub(p[0], light[0]), y = sub(p[1], light[1]), z = sub(p[2], light[2]);
-    double distance = norm(x, y, z);
-    if (distance > reach)
-        return 2;
-    double along = add(add(mul(x, axis[0]), mul(y, axis[1])), mul(z, axis[2]));
-    return along < mul(cosine, distance) ? 2 : 0;
-    """
-)
+@native.func_native("exact/light.h", calls="LightSide::reaches")
 def light_reaches(p: wp.vec3d, light: wp.vec4d, axis: wp.vec3d, cosine: wp.float64, reach: wp.float64) -> int:
     """LIT if the light shines towards ``p`` and far enough, else OUTSIDE."""
     ...
 
 
-# Unit vector to the light and the distance to it (the largest float64 for a light at infinity), the same bits as the
-# exact decision uses.
-@wp.func_native(
-    ARITHMETIC
-    + r"""
-    double x = light[0], y = light[1], z = light[2];
-    if (light[3] != 0.0) {
-        x = sub(x, p[0]); y = sub(y, p[1]); z = sub(z, p[2]);
-    }
-    double length = norm(x, y, z);
-    double scale = length > 0.0 ? 1.0 / length : 0.0;
-    return wp::vec4d(mul(x, scale), mul(y, scale), mul(z, scale), light[3] != 0.0 ? length : 1.7976931348623157e308);
-    """
-)
+@native.func_native("exact/light.h", calls="LightSide::towards")
 def towards_light(p: wp.vec3d, light: wp.vec4d) -> wp.vec4d:
     """(unit direction to the light, distance to it; the largest float64 for a light at infinity)."""
     ...

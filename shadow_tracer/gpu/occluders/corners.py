@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.slices import Slices
 from shadow_tracer.gpu.exact.light_frame import LightFrame, frame_coordinates
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
@@ -26,28 +26,7 @@ def project_vertices(
     out[i] = wp.vec4(float(c[0]), float(c[1]), float(c[2]), float(c[3]))
 
 
-# project_vertices for a block; plain loops over the 3 (or 4) numbers of each vertex, which the CPU's compiler
-# vectorises.
-@wp.func_native(
-    r"""
-    const double* in = (const double*)vertices.data;
-    float* to = (float*)out.data;
-    const double k = frame.inverse_scale, w0 = frame.w_constant, w1 = frame.w_slope;
-    const double cx = frame.center[0], cy = frame.center[1], cz = frame.center[2];
-    const double rx = frame.r[0], ry = frame.r[1], rz = frame.r[2];
-    const double sx = frame.s[0], sy = frame.s[1], sz = frame.s[2];
-    const double fx = frame.f[0], fy = frame.f[1], fz = frame.f[2];
-    for (int i = first; i < last; ++i) {
-        const double x = (in[3 * (size_t)i] - cx) * k, y = (in[3 * (size_t)i + 1] - cy) * k;
-        const double z = (in[3 * (size_t)i + 2] - cz) * k;
-        const double depth = fx * x + fy * y + fz * z;
-        to[4 * (size_t)i] = (float)(rx * x + ry * y + rz * z);
-        to[4 * (size_t)i + 1] = (float)(sx * x + sy * y + sz * z);
-        to[4 * (size_t)i + 2] = (float)(w0 - w1 * depth);
-        to[4 * (size_t)i + 3] = (float)depth;
-    }
-    """
-)
+@native.func_native("occluders/corners.h", calls="Corners::block")
 def project_block(
     frame: LightFrame, first: int, last: int, vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
 ):

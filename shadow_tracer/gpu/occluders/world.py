@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.transfers import Uploads
-from shadow_tracer.gpu.exact.determinant import ARITHMETIC, transform_point
+from shadow_tracer.gpu.exact.determinant import transform_point
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, all_three
 from shadow_tracer.scene.mesh import Mesh, Scene
@@ -43,22 +43,7 @@ def transform_vertices(
 _BLOCK = wp.constant(1024)
 
 
-# transform_point in a loop for the CPU's compiler to put into vector registers; the same bits.
-@wp.func_native(
-    ARITHMETIC
-    + r"""
-#if !defined(__CUDA_ARCH__)
-    const double* __restrict__ from = (const double*)(local.data + begin);
-    double* __restrict__ to = (double*)(world.data + first + begin);
-    for (int j = 0; j < end - begin; ++j) {
-        const double x = from[3 * j], y = from[3 * j + 1], z = from[3 * j + 2];
-        to[3 * j] = add(add(add(mul(row0[0], x), mul(row0[1], y)), mul(row0[2], z)), row0[3]);
-        to[3 * j + 1] = add(add(add(mul(row1[0], x), mul(row1[1], y)), mul(row1[2], z)), row1[3]);
-        to[3 * j + 2] = add(add(add(mul(row2[0], x), mul(row2[1], y)), mul(row2[2], z)), row2[3]);
-    }
-#endif
-    """
-)
+@native.func_native("occluders/transform.h", calls="Transform::block")
 def transform_block(
     row0: wp.vec4d,
     row1: wp.vec4d,

@@ -12,9 +12,8 @@ from typing import Any
 
 import warp as wp
 
-from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.counters import RAYS
-from shadow_tracer.gpu.exact.determinant import ARITHMETIC
 from shadow_tracer.gpu.exact.light_frame import (
     INVALID,
     LIT,
@@ -77,73 +76,10 @@ def project_samples(
 
 # Samples per thread of the vectorised loop.
 _BLOCK = 256
+native.constants(FIRST_TIME=FIRST_TIME, PENDING_RAYS=PENDING_RAYS, PROJECT_BLOCK=_BLOCK)
 
 
-# A light at infinity differs only in w = 0: the way to it is the same from everywhere, l - 0 p, and its distance has no
-# end. States and rays of the block stay on the stack until it is known which of them are wanted.
-@wp.func_native(
-    ARITHMETIC
-    + r"""
-#if !defined(__CUDA_ARCH__)
-    const int n = count - first < 256 ? count - first : 256;
-    int pending = again != 1;
-    for (int j = 0; j < n; ++j)
-        pending |= states.data[first + j] == 4;
-    if (!pending)
-        return;
-    const double lx = frame.light[0], ly = frame.light[1], lz = frame.light[2], lw = frame.light[3];
-    const double ax = frame.axis[0], ay = frame.axis[1], az = frame.axis[2], cosine = frame.cosine;
-    const double rx = frame.r[0], ry = frame.r[1], rz = frame.r[2];
-    const double sx = frame.s[0], sy = frame.s[1], sz = frame.s[2];
-    const double fx = frame.f[0], fy = frame.f[1], fz = frame.f[2];
-    const double cx = frame.center[0], cy = frame.center[1], cz = frame.center[2];
-    const double scale = frame.inverse_scale, w_constant = frame.w_constant, w_slope = frame.w_slope;
-    const double endless = 1.7976931348623157e308, infinity = HUGE_VAL, nan = infinity - infinity;
-    const double reach = lw != 0.0 ? frame.reach : infinity;
-    const int bounded = lw != 0.0;
-    typedef double Four[4];
-    typedef float Ray[4];
-    const Four* __restrict__ sample = (const Four*)(samples.data + first);
-    const wp::uint8* __restrict__ good = valid.data + first;
-    Ray* __restrict__ ray = (Ray*)(rays.data + first);
-    wp::uint8 state[256];
-    int traced = 0;
-    for (int j = 0; j < n; ++j) {
-        const double px = sample[j][0], py = sample[j][1], pz = sample[j][2], bias = sample[j][3];
-        const double x = sub(lx, mul(lw, px)), y = sub(ly, mul(lw, py)), z = sub(lz, mul(lw, pz));
-        const double length = norm(x, y, z);
-        const double along = -add(add(mul(x, ax), mul(y, ay)), mul(z, az));
-        const int out = bounded & ((length > reach) | (along < mul(cosine, length)));
-        const double inverse = length > 0.0 ? 1.0 / length : 0.0;
-        const double distance = bounded ? length : endless;
-        const double qx = mul(add(sub(px, cx), mul(mul(x, inverse), bias)), scale);
-        const double qy = mul(add(sub(py, cy), mul(mul(y, inverse), bias)), scale);
-        const double qz = mul(add(sub(pz, cz), mul(mul(z, inverse), bias)), scale);
-        double u = add(add(mul(rx, qx), mul(ry, qy)), mul(rz, qz));
-        double v = add(add(mul(sx, qx), mul(sy, qy)), mul(sz, qz));
-        double h = add(add(mul(fx, qx), mul(fy, qy)), mul(fz, qz));
-        double w = sub(w_constant, mul(w_slope, h));
-        const double size = add(add(add(absolute(u), absolute(v)), absolute(w)), absolute(h));
-        const bool far = mul(bias, scale) > add(0.5, size);
-        u = far ? infinity : u; v = far ? infinity : v; w = far ? infinity : w; h = far ? infinity : h;
-        const int is = good[j] != 0;
-        const int ray_ends = is & (1 - out) & (bias < distance);
-        ray[j][0] = (float)(ray_ends ? u : nan);
-        ray[j][1] = (float)v;
-        ray[j][2] = (float)w;
-        ray[j][3] = (float)h;
-        state[j] = (wp::uint8)(is ? 2 * out : 3);
-        traced += ray_ends;
-    }
-    if (again == 1)
-        return;
-    for (int j = 0; j < n; ++j)
-        states.data[first + j] = state[j];
-    if (again == 0)
-        wp::atomic_add(&counters.data[((first / 256) & 63) * counters.shape[1] + column], (wp::int64)traced);
-#endif
-    """
-)
+@native.func_native("samples/project.h", calls="Project::block")
 def project_block(
     first: int,
     count: int,

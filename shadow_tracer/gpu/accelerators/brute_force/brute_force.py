@@ -19,9 +19,9 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.counters import EXACT, LEAF_TESTS, RETESTED
-from shadow_tracer.gpu.exact.decision import FILTER_BLOCK, MAGNITUDE_FLOOR, decide, is_ray, ray_magnitude
+from shadow_tracer.gpu.exact.decision import MAGNITUDE_FLOOR, decide, is_ray, ray_magnitude
 from shadow_tracer.gpu.exact.determinant import determinant_sign
 from shadow_tracer.gpu.exact.light_frame import PENDING, SHADOWED
 from shadow_tracer.gpu.occluders.world import Change
@@ -58,58 +58,10 @@ def test_all_filtered(
 
 # Samples per thread of the vectorised loop; their coordinates stay in the first-level cache.
 _BLOCK = 256
+native.constants(BRUTE_FORCE_BLOCK=_BLOCK)
 
 
-@wp.func_native(
-    FILTER_BLOCK
-    + r"""
-    float U[256], V[256], W[256], Z[256], M[256];
-    int index[256], queued[256], already[256], answer[256];
-    int n = 0;
-    for (int i = first; i < first + 256 && i < count; ++i) {
-        const wp::vec4 ray = rays.data[i];
-        const wp::uint8 state = states.data[i];
-        if (ray[0] != ray[0] || !(attempt > 0 ? state == 4 : state == 0))
-            continue;
-        U[n] = ray[0]; V[n] = ray[1]; W[n] = ray[2]; Z[n] = ray[3];
-        M[n] = fabsf(ray[0]) + fabsf(ray[1]) + fabsf(ray[3]) + floor_;
-        index[n] = i;
-        already[n] = attempt == 2 ? resume.data[i] : 0;
-        queued[n] = 0;
-        states.data[i] = 0;
-        ++n;
-    }
-    const float* record = (const float*)records.data;
-    wp::int64 tests = 0;
-    for (int t = 0; t < triangle_count && n > 0; ++t, record += 16) {
-        const int any = filter_block(record, n, U, V, W, Z, M, answer);
-        tests += n;
-        if (any == 0)
-            continue;
-        for (int j = n - 1; j >= 0; --j) {
-            if (answer[j] == 0)
-                continue;
-            wp::uint8 state = 1;
-            if (answer[j] == 2) {
-                if (queued[j]++ < already[j])
-                    continue;
-                const int slot = wp::atomic_add(&queue_count.data[0], 1);
-                if (slot < queue.shape[0]) {
-                    queue.data[slot] = wp::vec2i(index[j], t);
-                    continue;
-                }
-                state = 4;
-                resume.data[index[j]] = queued[j] - 1;
-            }
-            states.data[index[j]] = state;
-            --n;  // the last sample takes the place of the one that is done; its answer has been looked at
-            U[j] = U[n]; V[j] = V[n]; W[j] = W[n]; Z[j] = Z[n]; M[j] = M[n];
-            index[j] = index[n]; already[j] = already[n]; queued[j] = queued[n];
-        }
-    }
-    wp::atomic_add(&counters.data[((first / 256) & 63) * counters.shape[1] + leaf_tests], tests);
-    """
-)
+@native.func_native("accelerators/brute_force/block.h", calls="BruteForce::block")
 def test_block(
     first: int,
     count: int,

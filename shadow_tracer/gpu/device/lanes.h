@@ -1,0 +1,31 @@
+// lanes
+// A number, or LANES of them in as many vector registers as it takes; comparisons of them; what differs between the two.
+#if LANES == 1
+typedef float REAL;
+typedef int MASK;
+#else
+typedef float REAL __attribute__((ext_vector_type(LANES), aligned(4)));
+typedef int MASK __attribute__((ext_vector_type(LANES)));
+typedef bool WIDE(Bit) __attribute__((ext_vector_type(LANES)));
+#endif
+struct WIDE(Lanes) {
+    enum { ALL = (1 << LANES) - 1 };
+    // The lanes of a comparison that hold, as bits.
+    static inline int bits(MASK x) {
+#if LANES == 1
+        return x != 0;
+#elif LANES == 16
+        return __builtin_bit_cast(unsigned short, __builtin_convertvector(x, WIDE(Bit)));
+#else
+        return __builtin_bit_cast(unsigned char, __builtin_convertvector(x, WIDE(Bit)));
+#endif
+    }
+    static inline REAL absolute(REAL x) {
+#if LANES == 1
+        return fabsf(x);
+#else
+        return __builtin_elementwise_abs(x);
+#endif
+    }
+    static inline REAL load(const float* from) { return *(const REAL*)from; }
+};

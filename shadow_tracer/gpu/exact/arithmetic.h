@@ -1,0 +1,36 @@
+// float64 without contraction, whatever the options of the module are: the same bits on every device. Clang is told by
+// a pragma, CUDA by intrinsics that are never contracted.
+struct Arithmetic {
+    static inline double add(double x, double y) {
+        UNCONTRACTED
+#if defined(__CUDA_ARCH__)
+        return __dadd_rn(x, y);
+#else
+        return x + y;
+#endif
+    }
+    static inline double sub(double x, double y) {
+        UNCONTRACTED
+#if defined(__CUDA_ARCH__)
+        return __dadd_rn(x, -y);
+#else
+        return x - y;
+#endif
+    }
+    static inline double mul(double x, double y) {
+        UNCONTRACTED
+#if defined(__CUDA_ARCH__)
+        return __dmul_rn(x, y);
+#else
+        return x * y;
+#endif
+    }
+    static inline double absolute(double x) { return x < 0.0 ? -x : x; }
+    static inline double norm(double x, double y, double z) {
+        return sqrt(add(add(mul(x, x), mul(y, y)), mul(z, z)));
+    }
+    // ((m0 x + m1 y) + m2 z) + m3
+    static inline double row(const wp::vec4d& m, const wp::vec3d& v) {
+        return add(add(add(mul(m[0], v[0]), mul(m[1], v[1])), mul(m[2], v[2])), m[3]);
+    }
+};

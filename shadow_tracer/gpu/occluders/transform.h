@@ -1,0 +1,15 @@
+// cpu
+// needs: exact/arithmetic.h
+// transform_point in a loop for the CPU's compiler to put into vector registers; the same bits.
+struct Transform : Arithmetic {
+    static inline void block(const wp::vec4d& row0, const wp::vec4d& row1, const wp::vec4d& row2, int first, int begin, int end, const wp::array_t<wp::vec3d>& local, const wp::array_t<wp::vec3d>& world) {
+        const double* __restrict__ from = (const double*)(local.data + begin);
+        double* __restrict__ to = (double*)(world.data + first + begin);
+        for (int j = 0; j < end - begin; ++j) {
+            const double x = from[3 * j], y = from[3 * j + 1], z = from[3 * j + 2];
+            to[3 * j] = add(add(add(mul(row0[0], x), mul(row0[1], y)), mul(row0[2], z)), row0[3]);
+            to[3 * j + 1] = add(add(add(mul(row1[0], x), mul(row1[1], y)), mul(row1[2], z)), row1[3]);
+            to[3 * j + 2] = add(add(add(mul(row2[0], x), mul(row2[1], y)), mul(row2[2], z)), row2[3]);
+        }
+    }
+};
