@@ -52,13 +52,17 @@ quick: $(VENV)/.has-test ## the tests of the inner loop: no case over a second, 
 benchmark: $(VENV)/.has-benchmark ## the suite beside Embree, wp.Mesh and others, figures and plots into benchmark_output/; ARGS="--quick" is short
 	@$(PY) benchmark/suite.py --out benchmark_output $(ARGS)
 
-lint: $(VENV)/.has-dev ## ruff: rules and layout
+HEADERS = $(shell find shadow_tracer -name '*.h')
+
+lint: $(VENV)/.has-dev ## ruff and clang-format: rules and layout
 	@$(PY) -m ruff check .
 	@$(PY) -m ruff format --check .
+	@$(VENV)/bin/clang-format --dry-run -Werror $(HEADERS)
 
-format: $(VENV)/.has-dev ## ruff: mend what can be mended
+format: $(VENV)/.has-dev ## ruff and clang-format: mend what can be mended
 	@$(PY) -m ruff check --fix .
 	@$(PY) -m ruff format .
+	@$(VENV)/bin/clang-format -i $(HEADERS)
 
 types: $(VENV)/.has-dev ## mypy
 	@$(PY) -m mypy

@@ -1,7 +1,10 @@
 // constants: ADMIT_BLOCK LIT PENDING WILD WILD_RATIO
 // admit_all for a block of up to ADMIT_BLOCK samples; the first loop is for vector registers.
 struct Admit {
-    static inline void block(int first, int count, const wp::array_t<wp::vec4>& rays, const wp::array_t<wp::uint8>& states, const wp::array_t<int>& resume, const wp::array_t<wp::uint8>& group, const wp::array_t<int>& wild, const wp::array_t<int>& counts) {
+    static inline void block(int first, int count, const wp::array_t<wp::vec4>& rays,
+                             const wp::array_t<wp::uint8>& states, const wp::array_t<int>& resume,
+                             const wp::array_t<wp::uint8>& group, const wp::array_t<int>& wild,
+                             const wp::array_t<int>& counts) {
         wp::uint8 kind[ADMIT_BLOCK];
         const int n = count - first < ADMIT_BLOCK ? count - first : ADMIT_BLOCK;
         const wp::vec4* ray = rays.data + first;

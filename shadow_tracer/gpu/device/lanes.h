@@ -1,5 +1,6 @@
 // lanes
-// A number, or LANES of them in as many vector registers as it takes; comparisons of them; what differs between the two.
+// A number, or LANES of them in as many vector registers as it takes; comparisons of them; what differs between the
+// two.
 #if LANES == 1
 typedef float REAL;
 typedef int MASK;

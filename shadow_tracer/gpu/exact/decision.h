@@ -22,9 +22,9 @@ struct Decision : Determinant {
 
         const wp::vec3d p(sample[0], sample[1], sample[2]);
         const double bias = sample[3];
-        // Question 0: on which side of the plane is the light; 1: is the sample on the other; 2 to 4: the planes through
-        // the light and an edge. One call in a loop that stays a loop, or compilers inline the expansion arithmetic five
-        // times.
+        // Question 0: on which side of the plane is the light; 1: is the sample on the other; 2 to 4: the planes
+        // through the light and an edge. One call in a loop that stays a loop, or compilers inline the expansion
+        // arithmetic five times.
         double value[5];
         int light_side = 0, exact_used = 0;
 #pragma unroll 1
@@ -41,8 +41,8 @@ struct Decision : Determinant {
                 return exact_used << 1;
         }
         if (bias > 0.0) {
-            // The biased start p + bias * (l - p) / |l - p| is still behind the plane iff A |l - p| > bias (D + A), with
-            // A and D the distances of p and l from the plane; for a light at infinity iff A |s| > bias D.
+            // The biased start p + bias * (l - p) / |l - p| is still behind the plane iff A |l - p| > bias (D + A),
+            // with A and D the distances of p and l from the plane; for a light at infinity iff A |s| > bias D.
             double x = light[0], y = light[1], z = light[2];
             const double behind = absolute(value[1]);
             double front = absolute(value[0]);

@@ -1,6 +1,6 @@
 // needs: exact/arithmetic.h
-// Unevaluated sums of float64: components that do not overlap, the smallest first (Shewchuk 1997). compress() packs them,
-// so n components cover at least (n - 2) * 53 bits; the domain of determinant.py spans fewer than 1600 bits.
+// Unevaluated sums of float64: components that do not overlap, the smallest first (Shewchuk 1997). compress() packs
+// them, so n components cover at least (n - 2) * 53 bits; the domain of determinant.py spans fewer than 1600 bits.
 struct Expansion : Arithmetic {
     enum { MOST = 64 };
     double h[MOST];
@@ -70,8 +70,8 @@ struct Expansion : Arithmetic {
     }
 };
 struct Determinant : Arithmetic {
-    // Sign of det[q - w*o, r - o, s - o]; value is its float64 approximation, exact_used counts what float64 alone could
-    // not tell.
+    // Sign of det[q - w*o, r - o, s - o]; value is its float64 approximation, exact_used counts what float64 alone
+    // could not tell.
     static inline int sign(const wp::vec4d& q, const wp::vec3d& r, const wp::vec3d& s, const wp::vec3d& o,
                            double& value, int& exact_used) {
         double m[3][3];
@@ -97,8 +97,8 @@ struct Determinant : Arithmetic {
         return exactly(q, r, s, o, m);
     }
     // Few pairs come here: not inlined, so that the others need fewer registers.
-    static __attribute__((noinline)) int exactly(const wp::vec4d& q, const wp::vec3d& r, const wp::vec3d& s, const wp::vec3d& o,
-                              const double (&m)[3][3]) {
+    static __attribute__((noinline)) int exactly(const wp::vec4d& q, const wp::vec3d& r, const wp::vec3d& s,
+                                                 const wp::vec3d& o, const double (&m)[3][3]) {
         double tail[3][3];
         for (int k = 0; k < 3; ++k) {
             const double origin = o[k];

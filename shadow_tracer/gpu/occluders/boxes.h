@@ -2,7 +2,8 @@
 // arguments: Clusters clusters
 // A comparison with NaN fails, so a corner that is not a number moves nothing; its triangle casts nothing either.
 struct ClusterBoxes {
-    static inline void make(int item, const Clusters& clusters, const wp::array_t<wp::vec3d>& vertices, const wp::array_t<wp::vec3i>& triangles) {
+    static inline void make(int item, const Clusters& clusters, const wp::array_t<wp::vec3d>& vertices,
+                            const wp::array_t<wp::vec3i>& triangles) {
         float* box = clusters.boxes.data + 96 * (size_t)item;
         const int count = clusters.triangles;
         for (int lane = 0; lane < 16; ++lane) {

@@ -2,7 +2,8 @@
 // project_vertices for a block; plain loops over the 3 (or 4) numbers of each vertex, which the CPU's compiler
 // vectorises.
 struct Corners {
-    static inline void block(const LightFrame& frame, int first, int last, const wp::array_t<wp::vec3d>& vertices, const wp::array_t<wp::vec4>& out) {
+    static inline void block(const LightFrame& frame, int first, int last, const wp::array_t<wp::vec3d>& vertices,
+                             const wp::array_t<wp::vec4>& out) {
         const double* in = (const double*)vertices.data;
         float* to = (float*)out.data;
         const double k = frame.inverse_scale, w0 = frame.w_constant, w1 = frame.w_slope;

@@ -2,7 +2,8 @@
 // needs: exact/arithmetic.h
 // transform_point in a loop for the CPU's compiler to put into vector registers; the same bits.
 struct Transform : Arithmetic {
-    static inline void block(const wp::vec4d& row0, const wp::vec4d& row1, const wp::vec4d& row2, int first, int begin, int end, const wp::array_t<wp::vec3d>& local, const wp::array_t<wp::vec3d>& world) {
+    static inline void block(const wp::vec4d& row0, const wp::vec4d& row1, const wp::vec4d& row2, int first, int begin,
+                             int end, const wp::array_t<wp::vec3d>& local, const wp::array_t<wp::vec3d>& world) {
         const double* __restrict__ from = (const double*)(local.data + begin);
         double* __restrict__ to = (double*)(world.data + first + begin);
         for (int j = 0; j < end - begin; ++j) {

@@ -2,10 +2,13 @@
 // constants: FIRST_TIME PENDING_RAYS PROJECT_BLOCK LIT OUTSIDE INVALID PENDING
 // needs: exact/arithmetic.h
 // arguments: LightFrame frame
-// A light at infinity differs only in w = 0: the way to it is the same from everywhere, l - 0 p, and its distance has no
-// end. States and rays of the block stay on the stack until it is known which of them are wanted.
+// A light at infinity differs only in w = 0: the way to it is the same from everywhere, l - 0 p, and its distance has
+// no end. States and rays of the block stay on the stack until it is known which of them are wanted.
 struct Project : Arithmetic {
-    static inline void block(int first, int count, const LightFrame& frame, int again, int column, const wp::array_t<wp::vec4d>& samples, const wp::array_t<wp::uint8>& valid, const wp::array_t<wp::vec4>& rays, const wp::array_t<wp::uint8>& states, const wp::array_t<wp::int64>& counters) {
+    static inline void block(int first, int count, const LightFrame& frame, int again, int column,
+                             const wp::array_t<wp::vec4d>& samples, const wp::array_t<wp::uint8>& valid,
+                             const wp::array_t<wp::vec4>& rays, const wp::array_t<wp::uint8>& states,
+                             const wp::array_t<wp::int64>& counters) {
         const int n = count - first < PROJECT_BLOCK ? count - first : PROJECT_BLOCK;
         int pending = again != PENDING_RAYS;
         for (int j = 0; j < n; ++j)
@@ -46,7 +49,10 @@ struct Project : Arithmetic {
             double w = sub(w_constant, mul(w_slope, h));
             const double size = add(add(add(absolute(u), absolute(v)), absolute(w)), absolute(h));
             const bool far = mul(bias, scale) > add(0.5, size);
-            u = far ? infinity : u; v = far ? infinity : v; w = far ? infinity : w; h = far ? infinity : h;
+            u = far ? infinity : u;
+            v = far ? infinity : v;
+            w = far ? infinity : w;
+            h = far ? infinity : h;
             const int is = good[j] != 0;
             const int ray_ends = is & (1 - out) & (bias < distance);
             ray[j][0] = (float)(ray_ends ? u : nan);
@@ -61,6 +67,7 @@ struct Project : Arithmetic {
         for (int j = 0; j < n; ++j)
             states.data[first + j] = state[j];
         if (again == FIRST_TIME)
-            wp::atomic_add(&counters.data[((first / PROJECT_BLOCK) & 63) * counters.shape[1] + column], (wp::int64)traced);
+            wp::atomic_add(&counters.data[((first / PROJECT_BLOCK) & 63) * counters.shape[1] + column],
+                           (wp::int64)traced);
     }
 };

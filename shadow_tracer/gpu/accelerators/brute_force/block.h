@@ -5,7 +5,7 @@
 // room for the last.
 struct BruteForce {
     enum { GROUPS = BRUTE_FORCE_BLOCK / 16 };
-    float rays[GROUPS][5][16];  // U V W Z magnitude
+    float rays[GROUPS][5][16]; // U V W Z magnitude
     int index[BRUTE_FORCE_BLOCK], queued[BRUTE_FORCE_BLOCK], already[BRUTE_FORCE_BLOCK];
     int n;
 

@@ -1,0 +1,33 @@
+// needs: device/lanes.h
+// lanes
+// arguments: LightSpace space
+// The four planes of triangles over light space, LANES at a time, from their records; light_space.py derives P and the
+// pads.
+struct WIDE(Planes) {
+    REAL n[3][3];     // edges
+    REAL p[4];        // P
+    REAL edge, plane; // factors of the pads
+    int silent;       // the lanes of triangles that cast nothing, as bits
+    int blind;        // those with a value that is not finite: no box may be judged by them
+
+    // row: the 16 numbers of a record.
+    inline void load(const REAL (&row)[16], const LightSpace& space) {
+        typedef WIDE(Lanes) Lanes;
+        silent = Lanes::bits((row[12] == 0.0f) & (row[13] == 0.0f) & (row[14] == 0.0f));
+        REAL sum = 0.0f;
+        for (int k = 0; k < 16; ++k)
+            sum += Lanes::absolute(row[k]);
+        blind = ~Lanes::bits(sum < 1.0e17f) & Lanes::ALL;
+        for (int k = 0; k < 3; ++k)
+            for (int i = 0; i < 3; ++i)
+                n[k][i] = row[4 * k + i];
+        const bool inverse = space.inverse != 0;
+        const REAL none = 0.0f, slope = inverse ? space.c * row[14] - row[15] : row[14] - space.s * row[15];
+        p[0] = row[12];
+        p[1] = row[13];
+        p[2] = inverse ? -row[14] : -row[15];
+        p[3] = slope < none ? slope : none;
+        edge = 2.0f * row[3];
+        plane = 7.0f * (row[7] + row[11]);
+    }
+};
