@@ -236,8 +236,8 @@ class Player:
             optics = answer.optics
             picture = overlay(answer.frame.depth, answer.mask(), optics.fx, optics.fy, optics.cx, optics.cy)
             self._output.image(topic("~/overlay"), now_ns, picture, "rgb8", header)
-        if answer.info is not None:
-            self._output.message(topic("~/camera_info"), now_ns, answer.info)
+        if answer.mask_info is not None:
+            self._output.message(topic("~/camera_info"), now_ns, answer.mask_info)
         end = time.perf_counter()
         if self._wish.timing:
             self._timing(answer, now_ns, {"write": (end - made) * 1e3, "total": (end - start) * 1e3})

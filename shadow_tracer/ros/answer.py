@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -94,6 +95,17 @@ class Answer:
             for index, name in enumerate(self.traced.names):
                 bits |= ((found >> np.uint16(index)) & np.uint16(1)) << np.uint16(self.names.index(name))
         return bits.astype(kind)
+
+    @property
+    def mask_info(self) -> CameraInfo | None:
+        """The camera_info with the header of the masks, so that programs which pair the two by stamp find it also where
+        it was sent with another stamp; None if there is none."""
+        header = self.frame.image.header
+        if self.info is None or self.info.header == header:
+            return self.info
+        info = copy.copy(self.info)
+        info.header = header
+        return info
 
     def _measured(self) -> npt.NDArray[np.bool_]:
         depth = self.frame.depth

@@ -24,7 +24,12 @@ _DEPTHS = {"lit": True, "shadowed": False}
 
 
 class Outputs:
-    """The publishers. Those of single lights come and go with the lights."""
+    """The publishers. Those of single lights come and go with the lights.
+
+    Attributes:
+        infos: camera_info for masks, by what stands between ``~/mask/`` and ``camera_info``: "" is the one that
+            image_transport looks for beside every ``~/mask/<light>``.
+    """
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -37,14 +42,17 @@ class Outputs:
         self.timing = self._publisher(DiagnosticArray, "~/timing", qos.report())
         self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
         self.lights: dict[str, Publisher] = {}
+        self.infos = {"": self._publisher(CameraInfo, "~/mask/camera_info")}
 
     def configure(self, settings: Settings) -> None:
         """One mask topic for each light, and none for others."""
         names = {light.name for light in settings.lights}
         for name in set(self.lights) - names:
             self._node.destroy_publisher(self.lights.pop(name))
+            self._node.destroy_publisher(self.infos.pop(name))
         for name in sorted(names - set(self.lights)):
             self.lights[name] = self._publisher(Image, f"~/mask/{name}")
+            self.infos[name] = self._publisher(CameraInfo, f"~/mask/{name}/camera_info")
 
     def publish(self, answer: Answer, settings: Settings) -> dict[str, float]:
         """Send what belongs to a frame, its camera_info last. Returns milliseconds by stage."""
@@ -66,10 +74,19 @@ class Outputs:
         made = time.perf_counter()
         for publisher, pixels, encoding in images:
             publisher.publish(image_message(pixels, encoding, answer.frame.image))
-        if answer.info is not None:
-            self.info.publish(answer.info)
+        self._publish_info(answer, always)
         end = time.perf_counter()
         return {"masks": (made - start) * 1e3, "publish": (end - made) * 1e3}
+
+    def _publish_info(self, answer: Answer, always: bool) -> None:
+        info = answer.mask_info
+        if info is None:
+            return
+        self.info.publish(info)
+        for name in ("", *answer.enabled):
+            publisher = self.infos.get(name)
+            if publisher is not None and (always or _wanted(publisher)):
+                publisher.publish(info)
 
     def _publisher(self, kind: Any, topic: str, profile: QoSProfile | None = None) -> Publisher:
         return self._node.create_publisher(

@@ -52,6 +52,7 @@ _THREADS = "buffers are cut into as many shares at the start; restart the node t
 _FRAME = re.compile(r"(?!/)\S+|")
 _DEVICE_NAME = re.compile(r"auto|cpu|cuda:\d+")
 _LIGHT_NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")
+_NO_LIGHT = "camera_info"  # ~/mask/camera_info is the camera_info of all masks
 
 
 def _pipelines() -> tuple[str, ...]:
@@ -121,7 +122,8 @@ PARAMETERS: tuple[Parameter, ...] = (
               allowed=POLICIES),
     Parameter("light_names", STRINGS, ("lamp",),
               "Names of the lights, each with its own group lights.<name>; [''] is none.",
-              pattern=_LIGHT_NAME, pattern_text="letters, digits and single underscores, a letter first"),
+              pattern=_LIGHT_NAME,
+              pattern_text="letters, digits and single underscores, a letter first, not camera_info"),
     Parameter("bias.constant", DOUBLE, 0.02,
               "Shadow rays start this far from the surface. It hides depth noise and the gap between surface and "
               "mesh; too large loses contact shadows.", "m", 0.0, 1.0),
@@ -217,7 +219,7 @@ def light_names(values: Mapping[str, Any]) -> tuple[str, ...]:
     if names == ("",):
         return ()
     for name in names:
-        if not _LIGHT_NAME.fullmatch(name):
+        if not _LIGHT_NAME.fullmatch(name) or name == _NO_LIGHT:
             raise ParameterError(f"light_names: expected names of {row.constraint}, got {name!r}")
     if len(set(names)) != len(names):
         raise ParameterError(f"light_names: expected different names, got {list(names)}")

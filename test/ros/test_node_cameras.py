@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from compressed_images import compressed_msg
 from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, nanoseconds, plate, wall
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer
 from shadow_tracer.ros.compressed_depth import decode
@@ -133,3 +133,36 @@ def test_frames_with_a_leading_slash() -> None:
         rig.until(lambda: found.extend(m for m in rig.masks[""] if nanoseconds(m.header.stamp) == stamp) or found)
         np.testing.assert_array_equal(np.frombuffer(found[0].data, np.uint8).reshape(HEIGHT, WIDTH), expected)
         assert found[0].header.frame_id == "/camera"
+
+
+BESIDE = ("mask/camera_info", "mask/lamp/camera_info")
+
+
+def test_camera_info_beside_every_mask_is_sent_to_listeners_with_the_header_of_the_mask() -> None:
+    with Rig({"light_names": ["lamp", "other"], "lights.other.enabled": False}) as rig:
+        sent: list[tuple[str, CameraInfo]] = []
+        infos = rig.core.outputs.infos
+        names = {f"/shadow_tracer/{name}" for name in (*BESIDE, "mask/other/camera_info")}
+        assert {publisher.topic_name for publisher in infos.values()} == names
+        for publisher in infos.values():
+            publish, name = publisher.publish, publisher.topic_name.removeprefix("/shadow_tracer/")
+            publisher.publish = lambda msg, name=name, publish=publish: (sent.append((name, msg)), publish(msg))
+        rig.trace(wall())
+        assert not sent  # nobody listens
+        heard = {name: rig.collect(CameraInfo, f"shadow_tracer/{name}") for name in BESIDE}
+        rig.until(lambda: all(infos[key].get_subscription_count() for key in ("", "lamp")))
+        assert rig.set(camera_info_policy="latest") == ""
+        old = info_msg(WIDTH, HEIGHT, 17, frame="elsewhere")
+        rig.info.publish(old)
+        rig.until(lambda: rig.core.inputs.queue._infos._kept.get(17), what="the other camera_info has come")
+        stamp = rig.send_frame(wall(), info=False)
+        rig.mask_of(stamp)
+        rig.until(lambda: all(heard.values()))
+        expected = info_msg(WIDTH, HEIGHT, stamp)
+        assert all(messages == [expected] for messages in heard.values())
+        assert rig.until(lambda: nanoseconds(rig.infos[-1].header.stamp) == stamp and rig.infos[-1]) == expected
+        assert rig.set(mask__publish="always", light_names=["other"], lights__other__enabled=True) == ""
+        sent.clear()
+        rig.trace(wall(), info=False)
+        assert set(infos) == {"", "other"}
+        assert [name for name, _ in sent] == ["mask/camera_info", "mask/other/camera_info"]

@@ -276,6 +276,7 @@ def test_every_topic_takes_qos_overrides() -> None:
     inputs = {"depth/image_rect", "depth/camera_info", "camera_pose", "query", "shadow_tracer/lights/lamp/pose"}
     inputs |= {"mesh", "mesh_markers", "mesh_marker", "mesh_cloud"}
     outputs = {"mask", "mask/lamp", "light_bits", "overlay", "camera_info", "timing", "query/visibility"}
+    outputs |= {"mask/camera_info", "mask/lamp/camera_info", "depth_lit", "depth_shadowed"}
     topics = {*inputs, *(f"shadow_tracer/{name}" for name in outputs), "diagnostics"}
     assert {name for name in names if name not in ("/tf", "/tf_static")} >= {f"/{topic}" for topic in topics}
 

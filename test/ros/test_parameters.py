@@ -73,6 +73,7 @@ BAD = [
     ("light_names", ["my lamp"], "light_names: expected names of letters, digits"),
     ("light_names", ["a__b"], "light_names: expected names"),
     ("light_names", ["1st"], "light_names: expected names"),
+    ("light_names", ["camera_info"], "light_names: expected names of letters, digits and single underscores, a letter"),
     ("light_names", [1, 2], "light_names: expected string array"),
     ("light_names", [f"l{k}" for k in range(17)], "light_names: expected at most bounds.max_lights = 16 names, got 17"),
     ("bias.constant", math.nan, "bias.constant: expected double (0 to 1 m), got nan"),
