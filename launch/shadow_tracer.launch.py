@@ -158,7 +158,8 @@ def start(context: LaunchContext) -> list[Action]:
         actions = [Node(executable="shadow_node", **common)]
     if "rviz" not in yes:
         return actions
-    own = [(f"{PACKAGE}/{topic}", f"{values['name']}/{topic}") for topic in ("mask", "overlay", "camera_info")]
+    topics = ("mask", "overlay", "camera_info", "scene_markers", "light_markers")
+    own = [(f"{PACKAGE}/{topic}", f"{values['name']}/{topic}") for topic in topics]
     rviz = Node(
         package="rviz2",
         executable="rviz2",

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from shadow_tracer.ros.cdr_reader import MeshMessageError, Reader, Writer
 
-TRIANGLE_LIST = 11
+ARROW, SPHERE, LINE_LIST, TEXT, TRIANGLE_LIST = 0, 2, 5, 9, 11
 ADD, DELETE, DELETEALL = 0, 2, 3
 
 LEAST = 189  # bytes that any marker takes, whatever its strings and sequences
@@ -47,6 +47,7 @@ class MarkerMessage:
         lifetime: how long it stays [ns].
         frame_locked: it moves with its frame.
         points: (N, 3) float64 [m], in any byte order; may be a read-only view of the message that is not aligned.
+        text: what it says; written, never read.
     """
 
     ns: str = ""
@@ -62,6 +63,7 @@ class MarkerMessage:
     lifetime: int = 0
     frame_locked: bool = False
     points: npt.NDArray[np.float64] = field(default_factory=_no_points)
+    text: str = ""
 
 
 def parse_marker(data: bytes, max_triangles: int) -> MarkerMessage:
@@ -209,7 +211,7 @@ def _write(writer: Writer, marker: MarkerMessage) -> None:
     writer.text("")
     writer.numbers("I", 4, 0)
     writer.numbers("I", 4, 0)  # uv_coordinates
-    writer.text("")  # text
+    writer.text(marker.text)
     writer.text("")  # mesh_resource
     writer.text("")  # mesh_file
     writer.numbers("I", 4, 0)

@@ -19,6 +19,7 @@ from shadow_tracer.ros.frames import Frames, Tf2
 from shadow_tracer.ros.health import DeviceState, Health
 from shadow_tracer.ros.inputs import Inputs
 from shadow_tracer.ros.log_bridge import LogBridge
+from shadow_tracer.ros.marker_feed import Markers
 from shadow_tracer.ros.outputs import Outputs
 from shadow_tracer.ros.parameter_server import ParameterServer
 from shadow_tracer.ros.processing import Processor
@@ -29,6 +30,8 @@ from shadow_tracer.ros.tracer_host import Outcome, TracerHost
 
 _RETRY_PERIOD = 0.01
 _MATCH_PERIOD = 0.1
+_MARK_PERIOD = 0.25  # how soon somebody who begins to listen gets markers
+_TURN_PERIOD = 0.002  # between two pieces of drawing them
 MATCH_PERIOD = _MATCH_PERIOD  # also the longest time a signal goes unnoticed
 
 
@@ -60,12 +63,19 @@ class Core:
         self.processor = Processor(self.inputs.queue, self.frames, self.inputs.meshes.store, self.inputs.lighting)
         self.host = TracerHost(self.wake)
         self.outputs = Outputs(node)
+        self.markers = Markers(
+            self.outputs.scene_markers, self.outputs.light_markers, self.inputs.meshes.store, self.inputs.lighting,
+            lambda text: node.get_logger().warning(text, throttle_duration_sec=60.0),
+        )  # fmt: skip
         self.health = Health(self.label, self.inputs, self.frames, self.processor, self.queries)
         self._services = Services(self)
         self._guard = node.create_guard_condition(self.guarded(self._step))
         self._retry = self._timer(_RETRY_PERIOD, self._step)
         self._retry.cancel()
         self._matching = self._timer(_MATCH_PERIOD, self.inputs.match)
+        self._marking = self._timer(_MARK_PERIOD, self._mark)
+        self._drawing = self._timer(_TURN_PERIOD, self._mark)
+        self._drawing.cancel()
         self._reporting = self._timer(server.settings.diagnostics_period, self._report)
         backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         self._jumps = node.get_clock().create_jump_callback(backward, post_callback=self.guarded(self._on_jump))
@@ -261,6 +271,16 @@ class Core:
         if answer.missing is not None:
             text = f"mask unknown: {answer.missing.text}"
             self.node.get_logger().warning(text, throttle_duration_sec=5.0)
+
+    def _mark(self) -> None:
+        inputs = self.inputs
+        if self.markers.step(
+            self.settings, inputs.camera_frame, inputs.last_stamp, time.monotonic(), self.now_ns()
+        ):  # the rest between other work: frames must not wait for it
+            if self._drawing.is_canceled():
+                self._drawing.reset()
+        else:
+            self._drawing.cancel()
 
     def _report(self) -> None:
         clock = self.node.get_clock().now()

@@ -49,6 +49,7 @@ class Inputs:
         depth_format: encoding and size of the last good image.
         depth_bytes: bytes of its pixels.
         camera_frame: its frame, "" before there is one.
+        last_stamp: its stamp [ns], 0 before there is one.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class Inputs:
         self._settings = settings
         self._work = work
         self._restarted = restarted
-        self._last_stamp = 0
+        self.last_stamp = 0
         self._next_match = 0
         self._transport = ""
         self.meshes.layouts.check()
@@ -141,7 +142,7 @@ class Inputs:
 
     def restart(self, now_ns: int) -> None:
         """Time has jumped: nothing that waits is of the present."""
-        self._last_stamp = 0
+        self.last_stamp = 0
         self.queue.clear()
         self._queries.clear()
         self.meshes.store.restart_age(now_ns)
@@ -197,9 +198,9 @@ class Inputs:
         except MessageError as error:
             self.depth_refused.add(str(error), now)
             return
-        if stamp < self._last_stamp - BACKWARD_STAMPS:
-            self._restarted(f"depth images start again {(self._last_stamp - stamp) * 1e-9:.1f} s earlier")
-        self._last_stamp = stamp
+        if stamp < self.last_stamp - BACKWARD_STAMPS:
+            self._restarted(f"depth images start again {(self.last_stamp - stamp) * 1e-9:.1f} s earlier")
+        self.last_stamp = stamp
         packed = "" if image is msg else f", {self._transport}"
         self.depth_format = f"{image.encoding} {image.width} x {image.height}{packed}"
         self.depth_bytes = len(msg.data)

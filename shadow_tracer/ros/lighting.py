@@ -86,6 +86,28 @@ class Lighting:
             shining.append(placed.light(to_world, direction))
         return Lit(shining, tuple(dark))
 
+    def placed(self, light: LightSettings, stamp: int) -> LightSettings | None:
+        """A light with the frame, position and direction that parameters, a topic or the sun give it.
+
+        Args:
+            stamp: time [ns], 0 being unknown.
+
+        Returns:
+            None for a sun that is below the horizon, or of which place or time is unknown.
+        """
+        if light.type != "sun":
+            return self._placed(light)
+        if not stamp and light.sun.time is None:
+            return None
+        try:
+            direction = self._sun_direction(light, stamp)
+        except Missing:  # frames say so
+            return None
+        if direction is None:
+            return None
+        u, v, w = (float(value) for value in direction)
+        return replace(light, direction=(u, v, w))
+
     def _placed(self, light: LightSettings) -> LightSettings:
         given = self._poses.get(light.name)
         if given is None:

@@ -269,6 +269,11 @@ class MeshStore:
             for part in wanted.values():
                 self._apply(scene, part, poses[part.key])
 
+    def placed(self, part: Part) -> tuple[str, FloatArray] | None:
+        """World and (4, 4) pose in it of a part that stays where its frame was once; None until a frame needed it."""
+        fixed = self._fixed.get(part.key)
+        return None if fixed is None or fixed[0] is not part else fixed[1:]
+
     def _place(self, part: Part, places: Places, mesh_frame: str) -> FloatArray:
         frame = part.frame or mesh_frame
         if part.locked:

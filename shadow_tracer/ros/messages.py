@@ -220,6 +220,23 @@ def rigid(position: npt.ArrayLike, quaternion: npt.ArrayLike, field: str) -> Flo
     return matrix
 
 
+def quaternion_of(matrix: FloatArray) -> tuple[float, float, float, float]:
+    """The unit quaternion x y z w of the rotation in a (4, 4) rigid transform."""
+    m = matrix[:3, :3]
+    # Four times the product of each two of them; the largest on the diagonal is far from 0 and divides the others.
+    products = np.array(
+        [
+            [1 + m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
+            [m[1, 0] + m[0, 1], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
+            [m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], 1 - m[0, 0] - m[1, 1] + m[2, 2], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1 + m[0, 0] + m[1, 1] + m[2, 2]],
+        ]
+    )
+    row = products[int(np.argmax(np.diag(products)))]
+    x, y, z, w = (float(value) for value in row / np.linalg.norm(row))
+    return x, y, z, w
+
+
 def pose_matrix(pose: Pose, field: str) -> FloatArray:
     """(4, 4) transform of a geometry_msgs/Pose. Raises MessageError as :func:`rigid`."""
     p, q = pose.position, pose.orientation

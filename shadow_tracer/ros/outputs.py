@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from visualization_msgs.msg import MarkerArray
 
 from shadow_tracer.ros import qos
 from shadow_tracer.ros.answer import MOST_BITS, Answer, published_mask
@@ -39,6 +40,8 @@ class Outputs:
         self.overlay = self._publisher(Image, "~/overlay")
         self.depths = {lit: self._publisher(Image, f"~/depth_{name}") for name, lit in _DEPTHS.items()}
         self.visibility = self._publisher(PointCloud2, "~/query/visibility", qos.burst())
+        self.scene_markers = self._publisher(MarkerArray, "~/scene_markers", qos.latched())
+        self.light_markers = self._publisher(MarkerArray, "~/light_markers", qos.latched())
         self.timing = self._publisher(DiagnosticArray, "~/timing", qos.report())
         self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
         self.lights: dict[str, Publisher] = {}

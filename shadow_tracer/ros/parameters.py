@@ -145,6 +145,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("mask.invert", BOOL, False,
               "Masks are 255 in shadow and 0 where light reaches, and 255 - mask.unknown_value where nothing is known: "
               "for programs that leave out what is 255."),
+    Parameter("markers.max_triangles", INTEGER, 100_000,
+              "Most triangles in scene_markers, small parts first; a part beyond is shown as its box, which says so.",
+              low=0, high=1_000_000),
     Parameter("process", STRING, "latest",
               "latest answers the newest image and drops those before it; every answers each one in order, for "
               "replays.", allowed=("latest", "every")),

@@ -46,6 +46,11 @@ def report() -> QoSProfile:
     return _profile(ReliabilityPolicy.RELIABLE, 10)
 
 
+def latched() -> QoSProfile:
+    """Markers out: reliable, and the last message, which says everything, is kept for late joiners."""
+    return changed(newest_reliable(), DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE)
+
+
 def overridable(durability: bool = True) -> QoSOverridingOptions:
     """Overrides by the parameters ``qos_overrides.<topic>.{publisher,subscription}.<policy>``."""
     kinds = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY]

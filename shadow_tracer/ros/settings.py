@@ -94,6 +94,7 @@ class Settings:
     mask_publish: str
     mask_dilate: int
     mask_invert: bool
+    markers_max_triangles: int
     process: str
     verify_every: int
     max_triangles: int

@@ -26,6 +26,7 @@ WITHOUT_ROS = {
     "test_health_inputs.py",
     "test_launch.py",
     "test_mask_shape.py",
+    "test_marker_feed.py",
     "test_markers.py",
     "test_mesh_collada.py",
     "test_mesh_damage.py",

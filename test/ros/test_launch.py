@@ -215,17 +215,19 @@ def test_the_configuration_of_rviz() -> None:
     manager = content["Visualization Manager"]
     displays = {display["Name"]: display for display in manager["Displays"]}
     kinds = sorted(display["Class"].removeprefix("rviz_default_plugins/") for display in displays.values())
-    assert kinds == ["DepthCloud", "Grid", "Image", "Image", "MarkerArray", "TF"]
+    assert kinds == ["DepthCloud", "Grid", "Image", "Image", "MarkerArray", "MarkerArray", "TF"]
     assert all(display["Enabled"] is display["Value"] is True for display in displays.values())
     assert topics_of_rviz() == {
-        *("depth/image_rect", "depth/camera_info", "mesh_markers"),
-        *("shadow_tracer/mask", "shadow_tracer/overlay"),
+        *("depth/image_rect", "depth/camera_info"),
+        *(f"shadow_tracer/{name}" for name in ("mask", "overlay", "scene_markers", "light_markers")),
     }
     # Windows of displays are found by name.
     for display in displays.values():
         if display["Class"].endswith("/Image"):
             assert content["Window Geometry"][display["Name"]] == {"collapsed": False}
             assert display["Topic"]["Reliability Policy"] == "Reliable"
+        if display["Class"].endswith("/MarkerArray"):  # the node keeps its last message
+            assert display["Topic"]["Durability Policy"] == "Transient Local"
     assert content["Panels"][-1]["SyncSource"] in displays
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import test_node_cameras
+import test_node_markers
 from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, nanoseconds, plate, wall
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
@@ -277,6 +278,7 @@ def test_every_topic_takes_qos_overrides() -> None:
     inputs |= {"mesh", "mesh_markers", "mesh_marker", "mesh_cloud"}
     outputs = {"mask", "mask/lamp", "light_bits", "overlay", "camera_info", "timing", "query/visibility"}
     outputs |= {"mask/camera_info", "mask/lamp/camera_info", "depth_lit", "depth_shadowed"}
+    outputs |= {"scene_markers", "light_markers"}
     topics = {*inputs, *(f"shadow_tracer/{name}" for name in outputs), "diagnostics"}
     assert {name for name in names if name not in ("/tf", "/tf_static")} >= {f"/{topic}" for topic in topics}
 
@@ -589,6 +591,7 @@ SHOWN_BELOW = {
     "mask.publish": test_mask_publish,
     "mask.dilate": test_mask_dilate,
     "mask.invert": test_mask_invert,
+    "markers.max_triangles": test_node_markers.test_markers_max_triangles,
     "process": test_process,
     "verify_every": test_verify_every,
     "diagnostics_period": test_diagnostics_period,

@@ -87,6 +87,7 @@ BAD = [
     ("mask.dilate", 65, "mask.dilate: expected integer (0 to 64 px), got 65"),
     ("mask.dilate", -1, "mask.dilate: expected integer (0 to 64 px), got -1"),
     ("mask.invert", 1, "mask.invert: expected bool"),
+    ("markers.max_triangles", -1, "markers.max_triangles: expected integer (0 to 1000000), got -1"),
     ("process", "all", "process: expected string (latest, every), got 'all'"),
     ("verify_every", -1, "verify_every: expected integer (0 to 1000000), got -1"),
     ("verify_every", True, "verify_every: expected integer"),
