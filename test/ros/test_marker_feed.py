@@ -187,7 +187,9 @@ def test_much_is_drawn_in_turns(limit: int) -> None:
 
 
 def test_what_looks_the_same_and_what_does_not() -> None:
-    part = soup("mesh", 2)
+    part = soup("mesh", 100)
+    last = part.vertices.copy()
+    last[-1, -1] += 1e-9
     shown = ShownPart(part.key, "map", part.pose, part.vertices, part.triangles, 10)
     copies = {"vertices": part.vertices.copy(), "triangles": part.triangles.copy(), "pose": part.pose.copy()}
     assert shown.same(replace(shown, **copies)) and shown.same(replace(shown, most=11))
@@ -198,6 +200,7 @@ def test_what_looks_the_same_and_what_does_not() -> None:
         {"whole": False},
         {"pose": 2.0 * part.pose},
         {"vertices": part.vertices + 1e-9},
+        {"vertices": last},
         {"triangles": part.triangles[:1]},
         {"triangles": part.triangles[::-1].copy()},
     ):
