@@ -28,8 +28,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from harness import FOCAL, NodeProcess, Rig, nanoseconds, plate, wall
+from harness import FOCAL, NodeProcess, Rig, nanoseconds, plate, reliable, wall
 from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.qos import DurabilityPolicy
+from visualization_msgs.msg import MarkerArray
 
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer
 from shadow_tracer.ros.cdr import encode_mesh
@@ -175,15 +177,19 @@ def _last_mask_is(rig: Rig, mask: np.ndarray) -> bool:
 
 
 def late_joiners() -> str:
-    """A mesh that was there before the node; a listener that comes after it."""
+    """A mesh that was there before the node; a listener and a viewer that come after it, and when nothing changes."""
     mesh = plate(x=0.05)
+    seen: list[MarkerArray] = []
     with node_and_friend(latched=True, mesh=mesh) as (_, rig):
         attempts = trace_until(rig, wall(), expected(*mesh), "the mesh that was published first")
         with Rig(start=False) as late:
             late.connected()
+            profile = reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
+            late.friend.create_subscription(MarkerArray, "shadow_tracer/scene_markers", seen.append, profile)
             stamp = rig.send_frame(wall())
             np.testing.assert_array_equal(late.mask_of(stamp), expected(*mesh))
-    return f"latched mesh in force by frame {attempts}; a late listener gets the next mask"
+            late.until(lambda: seen and [marker.ns for marker in seen[-1].markers] == ["", "mesh"], what="the mesh")
+    return f"latched mesh in force by frame {attempts}; a late listener gets the next mask, a late viewer the mesh"
 
 
 # Time

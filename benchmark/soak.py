@@ -3,8 +3,9 @@
 
 The node is a process of its own. Meshes change on four topics, lights move by topics and parameters, resolutions and
 depth formats switch, parameters are set, pipelines are exchanged, queries are asked; every few frames a second pipeline
-traces the same frame. Each frame must be answered before the next is sent. Every few hundred all meshes are cleared and
-a known one is traced: its mask must have the library's bits. In the end memory is flat and no two pipelines disagreed.
+traces the same frame; a viewer of markers comes and goes. Each frame must be answered before the next is sent. Every
+few hundred all meshes are cleared and a known one is traced: its mask must have the library's bits. In the end memory
+is flat and no two pipelines disagreed.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from geometry_msgs.msg import PoseStamped
 from harness import FOCAL, NodeProcess, Rig, info_msg, plate, reliable, wall
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
@@ -39,7 +42,15 @@ from benchmark.faults import check_end, expected, first_mask
 from benchmark.fuzz_messages import cloud_msg, pose_msg
 from benchmark.fuzz_node import robust_slope
 from shadow_tracer.ros.cdr import encode_mesh
-from shadow_tracer.ros.cdr_markers import ADD, DELETE, DELETEALL, MarkerMessage, encode_marker, encode_markers
+from shadow_tracer.ros.cdr_markers import (
+    ADD,
+    DELETE,
+    DELETEALL,
+    MarkerMessage,
+    encode_marker,
+    encode_markers,
+    parse_markers,
+)
 from shadow_tracer.ros.diagnostics import DEVICE, MESH, PROCESSING
 
 SLOPE_LIMIT = 1024.0  # bytes per frame
@@ -94,7 +105,8 @@ class Soak:
         self.encoding = "float32"
         self.pipeline = PIPELINES[0]
         self.lights = ["lamp"]
-        self.asked = self.frames = self.checkpoints = 0
+        self.asked = self.frames = self.checkpoints = self.seen = 0
+        self.viewer: list[Subscription] = []
         self.memory: list[tuple[int, int]] = []
         self.reserved: dict[str, set[str]] = {}
         for publisher in (self.marker, self.markers, self.cloud, self.lamp, self.query):
@@ -147,8 +159,27 @@ class Soak:
             self.query.publish(cloud_msg(self.patches(rng.choice((0, 1, 100))), self.rig.stamp))
         if rng.random() < 0.05:
             self.set(**self.any_parameters())
+        if rng.random() < 0.02:
+            self.watch()
         if rng.random() < 0.03:
             self.size, self.encoding = rng.choice(SIZES), rng.choice(("float32", "uint16"))
+
+    def watch(self) -> None:
+        """Somebody begins to look at what casts and what shines, or ceases to."""
+        friend = self.rig.friend
+        if self.viewer:
+            for subscription in self.viewer:
+                friend.destroy_subscription(subscription)
+            self.viewer = []
+            return
+        profile = reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
+        for topic in ("shadow_tracer/scene_markers", "shadow_tracer/light_markers"):
+            self.viewer.append(friend.create_subscription(MarkerArray, topic, self.look, profile, raw=True))
+
+    def look(self, data: bytes) -> None:
+        """Every array stands for all there is."""
+        assert parse_markers(data, 1_000_000)[0].action == DELETEALL
+        self.seen += 1
 
     def any_parameters(self) -> dict[str, Any]:
         """A few parameters and good values for them."""
@@ -163,6 +194,7 @@ class Soak:
             "front_face_culling": rng.random() < 0.3,
             "mask.unknown_value": rng.choice((0, 77, 128)),
             "mask.publish": rng.choice(("listened", "always")),
+            "markers.max_triangles": rng.choice((0, 60, 100_000)),
             "process": rng.choice(("latest", "every")),
             "mesh.max_age": rng.choice((0.0, 60.0)),
             "depth_image_transport": rng.choice(("raw", "compressedDepth")),
@@ -301,6 +333,8 @@ def _judge(soak: Soak, figures: dict[str, str], seconds: float) -> tuple[list[di
     ]
     if figures["verified frames"] == "0":
         wrong.append("no frame was verified")
+    if not soak.seen:
+        wrong.append("no markers were seen")
     if slope > SLOPE_LIMIT and soak.frames >= ENOUGH:
         wrong.append(f"resident memory grows by {slope:.0f} bytes per frame")
     wrong += [f"reserved on the device by {name}: {values} MB" for name, values in reserved.items() if len(values) > 1]
@@ -308,6 +342,7 @@ def _judge(soak: Soak, figures: dict[str, str], seconds: float) -> tuple[list[di
         "frames, all answered": soak.frames,
         "milliseconds per frame, everything included": 1e3 * seconds / soak.frames,
         "checkpoints with the library's mask": soak.checkpoints,
+        "arrays of markers seen": soak.seen,
         "queries asked": soak.asked,
         "queries answered": len(soak.answers),
         **figures,

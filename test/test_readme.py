@@ -30,7 +30,8 @@ PAGES = [README, *OTHERS, *sorted((ROOT / "docs").glob("*.md"))]
 IDS = [page.relative_to(ROOT).as_posix() for page in PAGES]
 DOCS = ROOT / "docs"
 NODE, LIBRARY, INSTALL, RECORDINGS = (DOCS / f"{name}.md" for name in ("node", "library", "install", "recordings"))
-FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS, DOCS / "troubleshooting.md", DOCS / "integration.md"]
+FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS, DOCS / "troubleshooting.md"]
+FOR_USERS += [DOCS / "integration.md", DOCS / "slam.md"]
 
 _BLOCK = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.MULTILINE)
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")

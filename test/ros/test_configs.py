@@ -15,14 +15,19 @@ import numpy as np
 import pytest
 import tf_double
 import yaml
-from harness import FOCAL, HEIGHT, WIDTH, Rig, wall
+from harness import FOCAL, HEIGHT, WIDTH, Rig, nanoseconds, wall
 from sensor_msgs.msg import Image
+from visualization_msgs.msg import MarkerArray
 
 from shadow_tracer.ros import parameters
+from shadow_tracer.ros.cdr_markers import MarkerMessage, encode_markers
 from shadow_tracer.ros.sun import parse_time
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-USES = ("rover_sun", "uv_lamp", "onboard_spotlight", "second_sensor_line_of_sight", "indoor_lights")
+USES = (
+    *("rover_sun", "uv_lamp", "onboard_spotlight", "second_sensor_line_of_sight", "indoor_lights"),
+    "robot_self_shadow",
+)
 SECOND = 1_000_000_000
 DOWN = (1.0, 0.0, 0.0, 0.0)  # x y z w of an optical frame that looks down, its x along x
 MARGIN = 0.03  # what is this close to an edge, in parts of the size, is not compared
@@ -411,3 +416,74 @@ def test_indoor_lights_each_lamp_has_its_own_shadow(bench: Bench) -> None:
     assert rig.set(lights__desk__position=[0.5, 1.0, 1.2], lights__ceiling_right__enabled=False) == ""
     mask = rig.trace(wall(distance=4.0))
     check(mask, floor(4.0, 0.0, 0.5), [replace(lamps["desk"], position=(0.5, 1.0, 1.2))], plates)
+
+
+# The robot's own shadow
+
+NORTH = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # x y z w of a robot that looks north: a quarter turn from east
+
+
+def publish_link(bench: Bench, frame: str, half: float) -> None:
+    """A square link in its frame, as docs/integration.md publishes the links of a robot."""
+    vertices, triangles = mesh_of([flat(0.0, 0.0, 0.0, half)])
+    marker = MarkerMessage(ns="robot", frame=frame, frame_locked=True, points=vertices[triangles].reshape(-1, 3))
+    bench.rig.send_part("mesh_markers", MarkerArray, encode_markers([marker]))
+
+
+def from_north(way: Sequence[float]) -> tuple[float, float, float]:
+    """A direction, given as east, north, up, in the frame of a robot that looks north: forward, left, up."""
+    east, north, up = way
+    return north, -east, up
+
+
+@uses("robot_self_shadow")
+def test_robot_self_shadow_is_left_out_wherever_the_robot_and_its_links_are(bench: Bench) -> None:
+    pytest.importorskip("ephem", reason="needs ephem: pip install 'shadow_tracer[sun]'")
+    place = {"lights__sun__sun__latitude": math.degrees(LATITUDE), "lights__sun__sun__longitude": -110.7919}
+    assert bench.rig.set(**place, mask__dilate=0) == ""
+    bench.place("base_link", "camera", (0.0, 0.0, 4.0), DOWN)
+    publish_link(bench, "mast", 0.4)
+    bench.hear("sun")
+    depths = bench.rig.collect(Image, "shadow_tracer/depth_lit")
+    for number, (x, y) in enumerate([(0.2, -0.1), (-0.5, 0.3)]):
+        stamp = NOON + (3600 * 3 + number) * SECOND
+        for when in (stamp, stamp + 1):
+            bench.move("enu", "base_link", when, (50.0 + number, -20.0, 0.0), NORTH)
+            bench.move("base_link", "mast", when, (x, y, 0.6), (0.0, 0.0, 0.0, 1.0))
+        left_out = bench.rig.trace(wall(distance=4.0), stamp=stamp)
+        assert left_out[0, 0] == 1  # no depth: left out by who asks for 0, kept by who asks for above 127
+        sun = Lamp(direction=from_north(sunlight(3.0)))
+        check(255 - left_out, floor(4.0), [sun], [flat(x, y, 0.6, 0.4)], bench.bias_at(4.0))
+        np.testing.assert_array_equal(bench.rig.mask_of(stamp, "sun"), left_out)
+        depth = bench.rig.until(
+            lambda stamp=stamp: next((m for m in depths if nanoseconds(m.header.stamp) == stamp), None)
+        )
+        kept = np.isfinite(np.frombuffer(depth.data, np.float32)).reshape(left_out.shape)
+        np.testing.assert_array_equal(kept, left_out == 0)
+    assert bench.rig.set(mask__dilate=4) == ""
+    wider = bench.rig.trace(wall(distance=4.0), stamp=stamp + 1)
+    shadow = np.argwhere(left_out == 255)
+    near = np.abs(np.argwhere(np.ones_like(wider))[:, None] - shadow).max(axis=2).min(axis=1).reshape(wider.shape) <= 4
+    near[0, 0] = False
+    np.testing.assert_array_equal(wider == 255, near)
+
+
+@uses("robot_self_shadow")
+def test_robot_self_shadow_by_night_is_that_of_the_lamp(bench: Bench) -> None:
+    pytest.importorskip("ephem", reason="needs ephem: pip install 'shadow_tracer[sun]'")
+    bench.place("base_link", "camera", (0.0, 0.0, 4.0), DOWN)
+    bench.place("base_link", "mast", (0.3, 0.1, 0.6), (0.0, 0.0, 0.0, 1.0))
+    bench.place("enu", "base_link", (0.0, 0.0, 0.0), NORTH)
+    publish_link(bench, "mast", 0.2)
+    midnight = parse_time("2026-06-21T23:00:00Z")
+    assert (bench.rig.trace(wall(distance=4.0), stamp=midnight).ravel()[1:] == 255).all()  # as the page says
+    assert bench.rig.set(lights__sun__enabled=False, lights__lamp__enabled=True, mask__dilate=0) == ""
+    mask = bench.rig.trace(wall(distance=4.0), stamp=midnight + SECOND)
+    check(255 - mask, floor(4.0), [Lamp((0.0, 0.0, 1.5))], [flat(0.3, 0.1, 0.6, 0.2)], bench.bias_at(4.0))
+
+
+@uses("robot_self_shadow")
+def test_robot_self_shadow_without_a_heading_nothing_is_known_and_said(bench: Bench) -> None:
+    bench.place("base_link", "camera", (0.0, 0.0, 4.0), DOWN)
+    assert (bench.rig.trace(wall(distance=4.0), stamp=NOON) == 1).all()
+    bench.rig.wait_status("transforms", b"\x01", "lights.sun.frame")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The converters on the page docs/integration.md do what the page says they do."""
+"""The converters on the pages docs/integration.md and docs/slam.md do what the pages say they do."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from shadow_tracer.ros.cdr_markers import parse_markers
 from shadow_tracer.ros.clouds import cloud_points, visibility_cloud
 from shadow_tracer.ros.markers import marker_changes
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "integration.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGES = (DOCS / "integration.md", DOCS / "slam.md")
 
 
 @pytest.fixture(autouse=True)
@@ -33,8 +34,9 @@ def context() -> Iterator[None]:
 
 
 def block_with(word: str) -> str:
-    """The only block of Python on the page that contains a word."""
-    blocks = re.findall(r"^```python ros\n((?:.*\n)*?)```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    """The only block of Python on the pages that contains a word."""
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    blocks = re.findall(r"^```python ros\n((?:.*\n)*?)```$", text, re.MULTILINE)
     (found,) = [block for block in blocks if word in block]
     return found
 
@@ -44,7 +46,7 @@ def node_of(name: str) -> tuple[Any, list[Any]]:
     names: dict[str, Any] = {"__name__": "page"}
     exec(compile(block_with(f"class {name}("), "integration.md", "exec"), names)
     node, sent = names[name](), []
-    for attribute in ("cloud", "out", "ask"):
+    for attribute in ("cloud", "out", "ask", "blank"):
         if hasattr(node, attribute):
             setattr(node, attribute, SimpleNamespace(publish=sent.append))
     return node, sent
@@ -100,24 +102,30 @@ def test_links_of_a_robot_become_markers(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert (len(part.triangles), part.frame, part.locked) == (12, "upper_arm_link", True)
 
 
-@pytest.mark.parametrize(("encoding", "kind", "nothing"), [("16UC1", np.uint16, 0), ("32FC1", np.float32, np.nan)])
-def test_depth_in_shadow_is_kept(encoding: str, kind: type, nothing: float) -> None:
-    node, sent = node_of("ShadowedDepth")
+@pytest.mark.parametrize(("encoding", "channels"), [("mono8", 1), ("rgb8", 3)])
+def test_what_is_above_127_is_left_out_and_blanked(encoding: str, channels: int) -> None:
+    node, sent = node_of("LeaveOut")
     header = Header(frame_id="camera")
     header.stamp.sec = 7
-    depth = np.arange(1, 13, dtype=kind).reshape(3, 4)
-    image = Image(header=header, height=3, width=4, encoding=encoding, step=4 * depth.itemsize)
-    image.data.frombytes(depth.tobytes())
-    mask = np.array([[0, 255, 128, 0]] * 3, np.uint8)
-    answer = Image(header=header, height=3, width=4, encoding="mono8", step=4)
-    answer.data.frombytes(mask.tobytes())
-    node.on_mask(answer)
-    assert not sent, "no depth image has come with this stamp"
-    node.on_depth(image)
-    node.on_mask(answer)
-    kept = np.frombuffer(sent[-1].data, kind).reshape(3, 4)
-    np.testing.assert_array_equal(kept, np.where(mask == 0, depth, np.array(nothing, kind)))
-    assert (sent[-1].header, sent[-1].encoding, sent[-1].step) == (header, encoding, image.step)
+    values = np.array([[0, 1, 127, 128, 255]] * 2, np.uint8)
+    mask = Image(header=header, height=2, width=5, encoding="mono8", step=5)
+    mask.data.frombytes(values.tobytes())
+    node.on_mask(mask)
+    out = sent.pop()
+    assert not sent, "no image has come with this stamp"
+    assert (out.header, out.encoding, out.step, out.height, out.width) == (header, "mono8", 5, 2, 5)
+    left_out = np.frombuffer(out.data, np.uint8).reshape(2, 5)
+    np.testing.assert_array_equal(left_out, np.where(values > 127, 255, 0))
+    pixels = np.random.default_rng(0).integers(0, 256, (2, 5, channels)).astype(np.uint8)
+    image = Image(header=header, height=2, width=5, encoding=encoding, step=5 * channels + 2)  # rows with a gap
+    image.data.frombytes(np.pad(pixels.reshape(2, -1), ((0, 0), (0, 2))).tobytes())
+    node.on_image(image)
+    node.on_mask(mask)
+    blanked = sent.pop()
+    assert (blanked.header, blanked.encoding, blanked.step) == (header, encoding, 5 * channels)
+    expected = pixels.copy()
+    expected[:, 3:] = pixels[:, :3].reshape(-1, channels).mean(axis=0).round()
+    np.testing.assert_array_equal(np.frombuffer(blanked.data, np.uint8).reshape(2, 5, channels), expected)
     node.destroy_node()
 
 
