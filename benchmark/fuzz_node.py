@@ -2,9 +2,10 @@
 """Throws messages at every input of the node that no honest publisher sends, and looks at what is left of it.
 
 Messages go straight into the callbacks that the node gave to rclpy, and its work step follows each. For every message:
-nothing is raised or warned of, no fault is counted, and what must be refused is refused with a text that starts with a
-field. Every few hundred a good frame is sent over real topics: its mask has the very bits it had before. At the end
-``/diagnostics`` has counted as many refusals as there were, and resident memory has not grown.
+nothing is raised or warned of, no fault is counted, what must be refused is refused with a text that starts with a
+field, and what is in force then can be drawn as markers. Every few hundred a good frame is sent over real topics: its
+mask has the very bits it had before. At the end ``/diagnostics`` has counted as many refusals as there were, and
+resident memory has not grown.
 """
 
 from __future__ import annotations
@@ -32,12 +33,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 from harness import SMALL, Rig, plate, wall
 from rclpy.logging import LoggingSeverity, set_logger_level
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
 from benchmark.fuzz_messages import INPUTS, Input, Message, cloud_msg, small_frame
 from shadow_tracer.ros.diagnostics import PROCESSING, Complaint, Missing
+from shadow_tracer.ros.marker_feed import Markers
 
 FIELD = re.compile(r"[a-z][a-z0-9_.\[\]]*.*: \S.{4,}", re.DOTALL)  # "step: expected at least ..."
 LONGEST_TEXT = 1000
@@ -130,6 +133,20 @@ class Doors:
             work()
 
 
+class Viewer:
+    """Somebody who always looks, to whom ROS reads what comes."""
+
+    def get_subscription_count(self) -> int:
+        """One."""
+        return 1
+
+    def publish(self, data: bytes) -> None:
+        """Read it, and see that every marker has a frame."""
+        for marker in deserialize_message(data, MarkerArray).markers[1:]:
+            if not marker.header.frame_id or not marker.ns:
+                raise ValueError(f"a marker without a name or a frame: {marker}")
+
+
 @dataclass
 class Result:
     """What came of the messages for one input; ``wrong`` holds what should not have happened, the first few of each."""
@@ -179,6 +196,9 @@ class Session:
         self.answers: list[PointCloud2] = []
         self.warned: list[warnings.WarningMessage] = []
         self._memory: list[tuple[int, int]] = []
+        core, viewer = rig.core, Viewer()
+        self._markers = Markers(viewer, viewer, core.inputs.meshes.store, core.inputs.lighting, lambda _: None)
+        self._looks = 0
         if tried.topic == "query":
             rig.listen(PointCloud2, "shadow_tracer/query/visibility", self.answers)
 
@@ -241,7 +261,19 @@ class Session:
         except Exception as error:
             self.result.complain(f"message {number}: a callback raised {type(error).__name__}: {error}")
         self.result.slowest = max(self.result.slowest, time.thread_time() - start)
+        self._draw(number)
         self._judge(message, number)
+
+    def _draw(self, number: int) -> None:
+        """What is in force, as markers."""
+        inputs, settings = self.rig.core.inputs, self.rig.core.settings
+        self._looks += 2  # seconds: nobody may look more often
+        now_ns = self.rig.core.now_ns()
+        try:
+            while self._markers.step(settings, inputs.camera_frame, inputs.last_stamp, self._looks, now_ns):
+                pass
+        except Exception as error:
+            self.result.complain(f"message {number}: markers raised {type(error).__name__}: {error}")
 
     def _judge(self, message: Message, number: int) -> None:
         texts = self.ears.refusals

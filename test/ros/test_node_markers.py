@@ -50,11 +50,11 @@ class Viewer:
     def shows(self, *wanted: tuple[str, int]) -> dict[tuple[str, int], Marker]:
         """Wait until exactly these are shown."""
 
-        def found() -> dict[tuple[str, int], Marker] | None:
-            shown = names(self.heard[-1]) if self.heard else {}
-            return shown if self.heard and set(shown) == set(wanted) else None
+        def found() -> list[dict[tuple[str, int], Marker]]:
+            shown = [names(message) for message in self.heard[-1:]]
+            return [markers for markers in shown if set(markers) == set(wanted)]
 
-        return self._rig.until(lambda: found() is not None and (found(), True), what=f"{wanted} are shown")[0]
+        return self._rig.until(found, what=f"{wanted} are shown")[0]
 
     def leave(self) -> None:
         self._rig.executor.remove_node(self.node)
