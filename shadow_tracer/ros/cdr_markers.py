@@ -185,12 +185,36 @@ def encode_marker(marker: MarkerMessage, little: bool = True) -> bytes:
 
 def encode_markers(markers: Iterable[MarkerMessage], little: bool = True) -> bytes:
     """Bytes of a visualization_msgs/MarkerArray; see :func:`encode_marker`."""
-    writer = Writer(little)
     listed = list(markers)
-    writer.numbers("I", 4, len(listed))
+    writer = MarkersWriter(len(listed), little)
     for marker in listed:
-        _write(writer, marker)
+        writer.add(marker)
     return writer.message()
+
+
+class MarkersWriter:
+    """Writes a visualization_msgs/MarkerArray one marker after the other, for those who cannot do it all at once.
+
+    Args:
+        count: how many will be added.
+        little: byte order of the message.
+    """
+
+    def __init__(self, count: int, little: bool = True) -> None:
+        self._left = count
+        self._writer = Writer(little)
+        self._writer.numbers("I", 4, count)
+
+    def add(self, marker: MarkerMessage) -> None:
+        """Append one; see :func:`encode_marker`."""
+        _write(self._writer, marker)
+        self._left -= 1
+
+    def message(self) -> bytes:
+        """The bytes. Raises ValueError if another number was added than was said."""
+        if self._left:
+            raise ValueError(f"count: expected the markers that were added, got {self._left:+d} of them")
+        return self._writer.message()
 
 
 def _write(writer: Writer, marker: MarkerMessage) -> None:

@@ -7,6 +7,7 @@ anything with its fields, be it of rclpy or of a library that reads bags.
 
 from __future__ import annotations
 
+import math
 import sys
 from array import array
 from dataclasses import dataclass
@@ -222,19 +223,18 @@ def rigid(position: npt.ArrayLike, quaternion: npt.ArrayLike, field: str) -> Flo
 
 def quaternion_of(matrix: FloatArray) -> tuple[float, float, float, float]:
     """The unit quaternion x y z w of the rotation in a (4, 4) rigid transform."""
-    m = matrix[:3, :3]
-    # Four times the product of each two of them; the largest on the diagonal is far from 0 and divides the others.
-    products = np.array(
-        [
-            [1 + m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
-            [m[1, 0] + m[0, 1], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
-            [m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], 1 - m[0, 0] - m[1, 1] + m[2, 2], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1 + m[0, 0] + m[1, 1] + m[2, 2]],
-        ]
+    (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3].tolist()
+    # Four times the products of each of them with all; that with the largest square is far from 0.
+    squares = (1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i)
+    rows = (
+        (squares[0], d + b, c + g, h - f),
+        (d + b, squares[1], h + f, c - g),
+        (c + g, h + f, squares[2], d - b),
+        (h - f, c - g, d - b, squares[3]),
     )
-    row = products[int(np.argmax(np.diag(products)))]
-    x, y, z, w = (float(value) for value in row / np.linalg.norm(row))
-    return x, y, z, w
+    x, y, z, w = rows[squares.index(max(squares))]
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    return x / length, y / length, z / length, w / length
 
 
 def pose_matrix(pose: Pose, field: str) -> FloatArray:

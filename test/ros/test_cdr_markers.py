@@ -14,6 +14,7 @@ from cdr_mutations import mutate
 from shadow_tracer.ros.cdr_markers import (
     LEAST,
     MarkerMessage,
+    MarkersWriter,
     check_size,
     encode_marker,
     encode_markers,
@@ -258,3 +259,12 @@ def test_fuzz(form: str) -> None:
 def test_encode_refuses_wrong_shapes(encode: Callable[[MarkerMessage], bytes]) -> None:
     with pytest.raises(ValueError, match=r"points: expected shape \(N, 3\), got \(3, 4\)"):
         encode(MarkerMessage(points=np.zeros((3, 4))))
+
+
+@pytest.mark.parametrize("added", [0, 1, 3])
+def test_markers_written_one_by_one_are_as_many_as_was_said(added: int) -> None:
+    writer = MarkersWriter(2)
+    for _ in range(added):
+        writer.add(MarkerMessage())
+    with pytest.raises(ValueError, match=r"count: expected the markers that were added, got [+-]\d of them"):
+        writer.message()

@@ -184,6 +184,8 @@ def test_much_is_drawn_in_turns(limit: int) -> None:
     _, turns = run(work)
     assert turns >= 2 + 4 * TURN // TURN
     assert run(draw_parts([]))[1] == 2
+    many = [soup(f"files/{k}") for k in range(640)]
+    assert run(draw_parts(shown_parts(store_of(*many), settings, "map")[0]))[1] > 640 // 64
 
 
 def test_what_looks_the_same_and_what_does_not() -> None:
