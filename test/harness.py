@@ -265,9 +265,9 @@ class Rig:
         if self.node is None:
             self.mesh.publish(data)
             return
-        before = self.value("input mesh", "received")
+        before = self.value("input mesh", "received") or "0"  # before the first report
         self.mesh.publish(data)
-        self.until(lambda: self.value("input mesh", "received") != before, what="the mesh is received")
+        self.until(lambda: self.value("input mesh", "received") not in ("", before), what="the mesh is received")
 
     def send_frame(
         self, depth: np.ndarray, stamp: int | None = None, *, info: bool = True, frame: str = "camera"
