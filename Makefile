@@ -54,10 +54,11 @@ benchmark: $(VENV)/.has-benchmark ## the suite beside Embree, wp.Mesh and others
 
 HEADERS = $(shell find shadow_tracer -name '*.h')
 
-lint: $(VENV)/.has-dev ## ruff and clang-format: rules and layout
+lint: $(VENV)/.has-dev ## ruff, clang-format and clang-tidy: rules and layout
 	@$(PY) -m ruff check .
 	@$(PY) -m ruff format --check .
 	@$(VENV)/bin/clang-format --dry-run -Werror $(HEADERS)
+	@$(PY) .ci/check_headers.py
 
 format: $(VENV)/.has-dev ## ruff and clang-format: mend what can be mended
 	@$(PY) -m ruff check --fix .

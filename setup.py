@@ -71,7 +71,14 @@ setup(
             "setuptools>=64",
         ],
         # Upper bounds: a new release of these may find new faults in old code.
-        "dev": ["build>=1.2", "clang-format>=20,<21", "clang-tidy>=20,<21", "mypy>=2.4,<2.5", "pre-commit>=4.0", "ruff>=0.17,<0.18"],
+        "dev": [
+            "build>=1.2",
+            "clang-format>=20,<21",
+            "clang-tidy>=20,<21",
+            "mypy>=2.4,<2.5",
+            "pre-commit>=4.0",
+            "ruff>=0.17,<0.18",
+        ],
     },
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed", "gpu/**/*.h"]},

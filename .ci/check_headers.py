@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""clang-tidy over every C++ header of the package, read alone: with what it says it needs, and Warp as a stub.
+
+Exit code 1 if it finds anything. ``make lint`` runs this.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import warp as wp  # noqa: E402
+
+from shadow_tracer.gpu.device import native  # noqa: E402
+
+_CHECKS = (
+    "-*",
+    "clang-diagnostic-*",
+    "clang-analyzer-*",
+    "bugprone-*",
+    # Coordinates come in threes, and products of small integers address arrays.
+    "-bugprone-easily-swappable-parameters",
+    "-bugprone-implicit-widening-of-multiplication-result",
+    "-bugprone-narrowing-conversions",
+    # What a scratch array holds before it is written is nobody's business.
+    "-clang-analyzer-core.uninitialized.*",
+    "-clang-analyzer-core.UndefinedBinaryOperatorResult",
+    "-clang-analyzer-security.insecureAPI.*",
+)
+_FLAGS = ("-std=c++17", "-Wall", "-Wextra", "-Wno-unknown-pragmas", "-Wno-unused-parameter", "-Wno-vla-extension")
+
+
+def _structs() -> dict[str, dict[str, Any]]:
+    """Warp's structs of the package, by name, then by the room they stand in."""
+    found: dict[str, dict[str, Any]] = {}
+    for path in sorted(native.ROOT.rglob("*.py")):
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for key, value in vars(importlib.import_module(name)).items():
+            if type(value).__name__ == "Struct":
+                found.setdefault(key, {})[str(path.parent.relative_to(native.ROOT))] = value
+    return found
+
+
+def _declaration(name: str, struct: Any) -> str:
+    ctype = wp._src.codegen.Var.type_to_ctype
+    return f"struct {name} {{ " + " ".join(f"{ctype(var.type)} {key};" for key, var in struct.vars.items()) + " };\n"
+
+
+def _unit(header: str, lanes: int, structs: dict[str, dict[str, Any]]) -> str:
+    needed = native.closure((f"{header}@{lanes}" if native.read(header).lanes else header,))
+    text = (ROOT / ".ci" / "warp_stub.h").read_text()
+    for kind in dict.fromkeys(kind for each in needed.values() for kind, _ in each.arguments):
+        rooms = structs[kind]
+        text += _declaration(kind, rooms.get(str(Path(header).parent), next(iter(rooms.values()))))
+    return text + native.paste(needed)
+
+
+def _check(header: str, lanes: int, unit: str, folder: Path) -> str:
+    file = folder / f"{header.replace('/', '_')}.{lanes}.cpp"
+    file.write_text(unit)
+    tidy = Path(sys.executable).with_name("clang-tidy")
+    command = [
+        str(tidy),
+        "--quiet",
+        f"--checks={','.join(_CHECKS)}",
+        "--warnings-as-errors=*",
+        str(file),
+        "--",
+        *_FLAGS,
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return "" if done.returncode == 0 else f"{header} at {lanes} lanes\n{done.stdout}{done.stderr}"
+
+
+def main() -> int:
+    """Check all headers; returns the exit code."""
+    wp.config.quiet = True
+    structs = _structs()
+    names = sorted(path.relative_to(native.ROOT).as_posix() for path in native.ROOT.rglob("*.h"))
+    cases = [(name, lanes) for name in names for lanes in ((1, 16) if native.read(name).lanes else (1,))]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        jobs = [pool.submit(_check, *case, _unit(*case, structs), Path(folder)) for case in cases]
+        found = [text for text in (job.result() for job in jobs) if text]
+    print("\n".join(found) if found else f"{len(names)} headers checked")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
