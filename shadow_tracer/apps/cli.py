@@ -11,7 +11,10 @@ COMMANDS = {
     "bag": ("shadow_tracer.apps.bag", "masks for every depth image of a recorded bag"),
     "status": ("shadow_tracer.apps.status", "what the running node says of itself, and what helps (needs ROS)"),
     "self-test": ("shadow_tracer.apps.self_test", "does every pipeline give the right bits on this machine?"),
-    "demo": ("shadow_tracer.apps.demo", "a moving scene through the node, and pictures of it (needs ROS)"),
+    "demo": (
+        "shadow_tracer.apps.demo",
+        "a moving scene, lit, and pictures of it; --node: through the node (needs ROS)",
+    ),
 }
 
 

@@ -26,9 +26,9 @@ class Shot:
         camera: pinhole camera with its pose in the world.
         depth: (H, W) float32 metres, NaN where invalid.
         colour: (H, W, 3) uint8 sRGB.
-        masks: light name -> (H, W) uint8 as published by the node.
-        stages: stage name -> milliseconds, as published by the node.
-        counters: the other numbers the node published.
+        masks: light name -> (H, W) uint8, of the node or of the library.
+        stages: stage name -> milliseconds.
+        counters: the other numbers of the frame.
         way: milliseconds from the stamp until the last mask was here.
     """
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m shadow_tracer.apps.demo`: a moving scene through the real node, and pictures of what came back.
+"""`shadow_tracer demo`: a moving scene lit by three lights, and pictures of the masks.
 
-The node and the publisher run as processes of their own and talk over ROS topics; this process only listens.
+The library traces in this process, or, with --node, the real node does: it and the publisher run as separate processes
+and talk over ROS topics, and this process only listens. The masks have the same bits.
 """
 
 from __future__ import annotations
@@ -21,48 +22,48 @@ from shadow_tracer.apps.parameter_file import parameters, yaml
 from shadow_tracer.apps.processes import Processes
 from shadow_tracer.apps.sequence import Sequence, open_sequence
 
-NEEDED = {"rclpy": "ros", "sensor_msgs": "ros", "rich": "demo", "PIL": "demo"}
+NEEDED = {"rich": "demo", "PIL": "demo"}
+NEEDED_BY_NODE = {"rclpy": "ros", "sensor_msgs": "ros", **NEEDED}
 # what a machine without a CUDA device answers in half a minute, and one with it in less
 CPU_FRAMES, CPU_SIZE = 40, (640, 480)
 CUDA_FRAMES, CUDA_SIZE = 72, (640, 480)
 ANIMATION_HEIGHTS = (60, 1080)
 
 
-def missing() -> str:
+def missing(node: bool) -> str:
     """What is not installed and how to get it; empty if all is there."""
-    absent = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    needed = NEEDED_BY_NODE if node else NEEDED
+    absent = [name for name in needed if importlib.util.find_spec(name) is None]
     if not absent:
         return ""
-    extras = ",".join(sorted({NEEDED[name] for name in absent}))
+    extras = ",".join(sorted({needed[name] for name in absent}))
     return f"the demo needs {', '.join(absent)}: pip install 'shadow_tracer[{extras}]' (or run `make demo`)"
 
 
 def perform(chosen: argparse.Namespace) -> None:
-    """Plays the sequence through the node and saves the pictures.
+    """Plays the sequence and saves the pictures.
 
     Raises:
-        DemoError: if a process fails or no mask comes back.
+        DemoError: if a process fails, there is no such device, or no mask comes back.
         ValueError: if an option or the data folder is wrong.
     """
     from rich.console import Console
 
-    from shadow_tracer.apps.pictures import save_animation
-    from shadow_tracer.apps.recording import Recorder, Report
+    from shadow_tracer.apps.library_run import LibraryRun
+    from shadow_tracer.apps.pictures import percent_lit, save_animation
     from shadow_tracer.apps.studio import save_portrait
 
     start = time.monotonic()
     console = Console()
     sequence = open_sequence(chosen.data, chosen.mesh, chosen.frames, chosen.size)
     chosen.output.mkdir(parents=True, exist_ok=True)
-    with Processes() as processes:
-        console.print(f"[dim]{sequence.title}: {len(sequence.triangles):,} triangles, {len(sequence)} views, "
-                      f"ROS_DOMAIN_ID={processes.domain}[/dim]")  # fmt: skip
-        path = processes.folder / "node.yaml"
-        path.write_text(yaml(parameters(sequence, chosen.pipeline, chosen.variant, chosen.device)), encoding="utf-8")
-        report = Report()
-        processes.start("node", "shadow_tracer.ros.node", "--ros-args", "--params-file", str(path))
-        processes.start("publisher", "shadow_tracer.apps.publisher", *_publisher_arguments(chosen), on_line=report.hear)
-        recording = Recorder(sequence, processes, report, chosen.animation_height).run(console)
+    what = f"{sequence.title}: {len(sequence.triangles):,} triangles, {len(sequence)} views"
+    if chosen.node:
+        recording = _through_the_node(chosen, sequence, console, what)
+    else:
+        console.print(f"[dim]{what}, no ROS (--node plays them through the node)[/dim]")
+        run = LibraryRun(sequence, chosen.pipeline, chosen.variant, chosen.device)
+        recording = run.play(console, chosen.budget, chosen.animation_height)
     facts = _facts(sequence, recording)
     table = stage_times.rows(recording.times)
     saved = save_portrait(recording.still, sequence, chosen.output, [str(v) for v in facts.values()])
@@ -73,12 +74,29 @@ def perform(chosen: argparse.Namespace) -> None:
     save_animation(list(recording.panels.values()), saved[-1], durations)
     saved += stage_times.save(chosen.output, sequence.title, facts, table)
     _show(console, table, facts, saved)
+    still = recording.still
+    reach = ", ".join(f"{name} {percent_lit(mask, still.depth):.0f} %" for name, mask in still.masks.items())
+    console.print(f"Of the pixels of the still are lit: {reach}")
     console.print(f"[bold green]Done[/bold green] in {time.monotonic() - start:.0f} s.")
     if recording.skipped:
         console.print(f"[dim]{recording.skipped} frames were left out to save time (see --budget).[/dim]")
     if recording.lost:
         because = f": {recording.reason}" if recording.reason else " in time"
         console.print(f"[yellow]{recording.lost} frames were not answered{because}[/yellow]")
+
+
+def _through_the_node(chosen: argparse.Namespace, sequence: Sequence, console: Any, what: str) -> Any:
+    """The recording of what node and publisher, processes of their own, said to each other."""
+    from shadow_tracer.apps.recording import Recorder, Report
+
+    with Processes() as processes:
+        console.print(f"[dim]{what}, ROS_DOMAIN_ID={processes.domain}[/dim]")
+        path = processes.folder / "node.yaml"
+        path.write_text(yaml(parameters(sequence, chosen.pipeline, chosen.variant, chosen.device)), encoding="utf-8")
+        report = Report()
+        processes.start("node", "shadow_tracer.ros.node", "--ros-args", "--params-file", str(path))
+        processes.start("publisher", "shadow_tracer.apps.publisher", *_publisher_arguments(chosen), on_line=report.hear)
+        return Recorder(sequence, processes, report, chosen.animation_height).run(console)
 
 
 def _publisher_arguments(chosen: argparse.Namespace) -> list[str]:
@@ -127,9 +145,10 @@ def _show(console: Any, table: list[stage_times.StageRow], facts: dict[str, str]
 def _options() -> argparse.ArgumentParser:
     pipelines = available_pipelines()
     parser = argparse.ArgumentParser(
-        prog="python -m shadow_tracer.apps.demo",
-        description="Plays a moving workshop, or recorded depth frames, through the node and saves pictures.",
+        prog="shadow_tracer demo",
+        description="Lights a moving workshop, or recorded depth frames, and saves pictures of it.",
     )
+    parser.add_argument("--node", action="store_true", help="play it through the ROS 2 node over topics, not in here")
     publisher.options(parser)
     parser.add_argument("--output", type=Path, default=Path("demo_output"), metavar="FOLDER", help="where pictures go")
     parser.add_argument(
@@ -176,7 +195,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point: 0 if pictures were made, 1 if not, 2 for a wrong option or missing package, 130 when interrupted."""
     chosen = _options().parse_args(arguments)
     _fill_in(chosen)
-    if text := missing():
+    if text := missing(chosen.node):
         print(text, file=sys.stderr)
         return 2
     from shadow_tracer.apps.recording import DemoError

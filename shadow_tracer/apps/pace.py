@@ -32,8 +32,12 @@ class Pace:
     def after(self, index: int) -> int:
         """The frame to play after frame `index`: the next one, or one up to four further on if time runs short.
 
-        A round stays evenly spaced as far as can be: of the steps that suffice the smallest is taken.
+        A round stays evenly spaced as far as can be: of the steps that suffice the smallest is taken. What follows the
+        round is played in any case.
         """
+        return min(self._after(index), self._frames) if index < self._frames else index + 1
+
+    def _after(self, index: int) -> int:
         if self._budget <= 0 or self._answers < 3:
             return index + 1
         spent = self._last - self._first

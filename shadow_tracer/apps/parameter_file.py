@@ -7,6 +7,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from shadow_tracer.apps import publisher
 from shadow_tracer.apps.sequence import Sequence
 
@@ -45,7 +47,7 @@ def yaml(values: Mapping[str, Any], node: str = "/shadow_tracer") -> str:
 
 def _text(value: Any) -> str:
     if isinstance(value, float):
-        return f"{value:.9f}"
+        return np.format_float_positional(value, trim="0")  # every bit, and no exponent
     if isinstance(value, list):
         return "[" + ", ".join(_text(item) for item in value) + "]"
     return json.dumps(value)

@@ -45,6 +45,12 @@ def reach_picture(masks: Mapping[str, Picture], lights: Sequence[StageLight], va
     return np.asarray(np.where(valid[..., None], picture, UNKNOWN), dtype=np.uint8)
 
 
+def percent_lit(mask: Picture, depth: NDArray[np.float32]) -> float:
+    """How much of the (H, W) pixels with a depth [m] the mask says is lit, 0 to 100."""
+    valid = np.isfinite(depth) & (depth > 0)
+    return 100 * float((mask == 255)[valid].mean()) if valid.any() else 0.0
+
+
 def depth_picture(depth: NDArray[np.float32]) -> Picture:
     """(H, W, 3) picture of a depth image in metres: near light, far dark, invalid grey."""
     valid = np.isfinite(depth) & (depth > 0)
@@ -130,18 +136,18 @@ def contact_sheet(
         draw.text((left + 2, top + tall + 6), caption, font=font(15), fill=FAINT)
 
     y = HEADER
-    place(overlay, 0, y, "all lights, shaded with the masks of the node", 2, 2 * h + CAPTION + GAP)
+    place(overlay, 0, y, "all lights, shaded with the masks below", 2, 2 * h + CAPTION + GAP)
     place(depth_picture(depth), 2, y, "depth image: near light, far dark, grey no measurement")
     valid = np.isfinite(depth) & (depth > 0)
     place(reach_picture(masks, lights, valid), 2, y + row + GAP, "which lights reach each pixel")
     y += 2 * (row + GAP)
     for i, light in enumerate(lights):
-        lit = 100 * float((masks[light.name] == 255)[valid].mean()) if valid.any() else 0.0
+        lit = percent_lit(masks[light.name], depth)
         place(
             mask_picture(masks[light.name], light),
             i,
             y,
-            f"~/mask/{light.name}   {light.kind} light reaches {lit:.0f} %",
+            f"mask of {light.name}: {light.kind} light reaches {lit:.0f} %",
         )
         place(overlays[light.name], i, y + row + GAP // 2, f"{light.name} alone")
     return sheet

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from shadow_tracer.apps.pace import Pace
 from shadow_tracer.apps.sequence import STILL_PIXELS, Sequence, View, open_sequence
+from shadow_tracer.ros.messages import rigid
 from shadow_tracer.scene.camera import Camera
 
 DEPTH_TOPIC = "depth/image_rect"
@@ -224,6 +225,13 @@ def quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float, floa
     return float(x), float(y), float(z), float(w)
 
 
+def as_sent(camera: Camera) -> Camera:
+    """The camera as the node finds it in the messages: its rotation has gone through a quaternion, which rounds."""
+    c = camera
+    pose = rigid(c.position, quaternion(c.camera_to_world[:3, :3]), "camera_pose")
+    return Camera(c.width, c.height, c.fx, c.fy, c.cx, c.cy, pose)
+
+
 def play(sequence: Sequence, budget: float, start_timeout: float, frame_timeout: float) -> int:
     """Plays the sequence; returns 0, or 1 if the node never listened or never answered."""
     import rclpy
@@ -248,8 +256,7 @@ def play(sequence: Sequence, budget: float, start_timeout: float, frame_timeout:
                 return 1
             else:
                 say(lost=index)
-            # the round is animated as far as time allows, what follows it is played in any case
-            due = min(pace.after(index), sequence.animated) if index < sequence.animated else index + 1
+            due = pace.after(index)
             if due > index + 1:
                 say(skipped=due - index - 1)
             index = due

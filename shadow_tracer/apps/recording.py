@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts node and publisher, listens until the sequence has been played, and keeps what the pictures need."""
+"""Plays a sequence, through the node or by the library alone, and keeps what the pictures need."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from shadow_tracer.apps.stage_times import WAY
 from shadow_tracer.apps.studio import PANEL_HEIGHT, Studio
 
 LINGER = 5.0
+COMPILING = "compiling kernels (first start only)"
 
 
 class DemoError(RuntimeError):
@@ -33,10 +34,10 @@ class Recording:
         still: the shot for the single pictures.
         panels: frames of the animation by index.
         times: per animated frame, stage -> milliseconds.
-        device: what the node says about its device: device, pipeline, variant, time until ready.
+        device: what traced: device, pipeline, variant.
         seconds: how long the frames took, from the first mask to the last.
         skipped: frames left out because time ran short.
-        lost: frames that the node did not answer in time or could not trace.
+        lost: frames that were not answered in time or could not be traced.
         reason: why it could not trace, the last time; empty if it could.
         size: (width, height) of the animated frames.
     """
@@ -76,6 +77,53 @@ class Report:
             self.sent[said["stamp"]] = said["sent"]
 
 
+class Album:
+    """Keeps of each shot what the pictures and the table need.
+
+    Args:
+        sequence: what is played.
+        height: of the frames of the animation, in pixels.
+
+    Attributes:
+        seen: how many shots have been kept.
+        studio: shades the animation.
+    """
+
+    def __init__(self, sequence: Sequence, height: int = PANEL_HEIGHT) -> None:
+        self.seen = 0
+        self.studio = Studio(sequence, height)
+        self._sequence = sequence
+        self._still: tuple[int, Shot] | None = None
+        self._times: list[dict[str, float]] = []
+        self._first = self._last = 0.0
+        self._size = (0, 0)
+
+    def keep(self, index: int, shot: Shot, times: dict[str, float]) -> None:
+        """Takes the shot of view `index`, whose stages took so many milliseconds."""
+        self.seen += 1
+        wanted = self._sequence.still
+        if self._still is None or abs(index - wanted) < abs(self._still[0] - wanted):
+            self._still = (index, shot)
+        if index < self._sequence.animated:
+            self._times.append(times)
+            self._size = (shot.camera.width, shot.camera.height)
+            self._last = time.monotonic()
+            self._first = self._first or self._last
+            self.studio.add(index, shot)
+
+    def recording(self, device: dict[str, str], skipped: int, lost: int = 0, reason: str = "") -> Recording:
+        """All of it, once the last shot is shaded.
+
+        Raises:
+            DemoError: if there is no shot; ``reason`` says why.
+        """
+        panels = self.studio.finish()
+        if self._still is None:
+            raise DemoError("no frame came back whole: " + (reason or "masks arrived too late"))
+        seconds = self._last - self._first
+        return Recording(self._still[1], panels, self._times, device, seconds, skipped, lost, reason, self._size)
+
+
 class Recorder:
     """Listens to a running node and publisher.
 
@@ -90,12 +138,7 @@ class Recorder:
         self._sequence = sequence
         self._processes = processes
         self._report = report
-        self._studio = Studio(sequence, height)
-        self._still: tuple[int, Shot] | None = None
-        self._times: list[dict[str, float]] = []
-        self._seen = 0
-        self._first = self._last = 0.0
-        self._size = (0, 0)
+        self._album = Album(sequence, height)
 
     def run(self, console: Console) -> Recording:
         """Listens to the end, with a progress display.
@@ -117,15 +160,11 @@ class Recorder:
             with Progress(SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                           TimeElapsedColumn(), console=console) as progress:  # fmt: skip
                 self._listen(executor, collector, Display(progress, self._sequence))
-            panels = self._studio.finish()
-            if self._still is None:
-                raise DemoError("no frame came back whole: " + (collector.unknown_because or "masks arrived too late"))
             device = collector.health.get("device", (0, "", {}))[2]
-            seconds = self._last - self._first
             heard = self._report
-            lost, reason = heard.lost + collector.unknown, collector.unknown_because
-            still = self._still[1]
-            return Recording(still, panels, self._times, device, seconds, heard.skipped, lost, reason, self._size)
+            return self._album.recording(
+                device, heard.skipped, heard.lost + collector.unknown, collector.unknown_because
+            )
         finally:
             executor.shutdown(timeout_sec=0.0)
             node.destroy_node()
@@ -133,36 +172,32 @@ class Recorder:
 
     def _listen(self, executor: Any, collector: Collector, display: Display) -> None:
         end: float | None = None
-        while end is None or (self._seen + collector.unknown < len(self._report.sent) and time.monotonic() < end):
+        album, studio = self._album, self._album.studio
+        while end is None or (album.seen + collector.unknown < len(self._report.sent) and time.monotonic() < end):
             executor.spin_once(timeout_sec=0.05)
             for shot in collector.take():
                 self._keep(shot)
-            display.show(collector.health, self._report, self._seen, self._studio.done)
+            self._show(display, collector)
             self._check()
             if end is None and self._processes.exit_code("publisher") is not None:
                 end = time.monotonic() + LINGER
-        while self._studio.working:
-            display.show(collector.health, self._report, self._seen, self._studio.done)
+        while studio.working:
+            self._show(display, collector)
             time.sleep(0.05)
-        display.show(collector.health, self._report, self._seen, self._studio.done)
+        self._show(display, collector)
+
+    def _show(self, display: Display, collector: Collector) -> None:
+        masks, report = self._album.seen, self._report
+        text = _state_of_the_node(collector.health, masks)
+        display.show(text, max(report.rendered, masks), masks, self._album.studio.done, report.skipped)
 
     def _keep(self, shot: Shot) -> None:
-        self._seen += 1
         # the line with the index is written before the mask can be back, but another thread reads it
         for _ in range(100):
             if shot.stamp in self._report.sent:
                 break
             time.sleep(0.01)
-        index = self._report.sent.get(shot.stamp, 0)
-        wanted = self._sequence.still
-        if self._still is None or abs(index - wanted) < abs(self._still[0] - wanted):
-            self._still = (index, shot)
-        if index < self._sequence.animated:
-            self._times.append({**shot.stages, WAY: shot.way})
-            self._size = (shot.camera.width, shot.camera.height)
-            self._last = time.monotonic()
-            self._first = self._first or self._last
-            self._studio.add(index, shot)
+        self._album.keep(self._report.sent.get(shot.stamp, 0), shot, {**shot.stages, WAY: shot.way})
 
     def _check(self) -> None:
         """Raises DemoError if a process has failed."""
@@ -176,34 +211,33 @@ class Recorder:
             raise DemoError(f"the publisher ended with exit code {code}:\n{self._processes.tail('publisher')}")
 
 
-class Display:
-    """The progress display: what the node is doing, and how far views, masks and pictures are."""
+def _state_of_the_node(health: dict[str, tuple[int, str, dict[str, str]]], masks: int) -> str:
+    """What the node is doing, by its latest diagnostics and the number of masks received."""
+    if not masks:
+        return f"node: {COMPILING}" if health else "node: starting"
+    values = health.get("device", (0, "", {}))[2]
+    ready = values.get("ready after [s]", "-")
+    after = "" if ready == "-" else f", ready after {ready} s"
+    return f"node: tracing on {values.get('device', '?')}{after}"
 
-    def __init__(self, progress: Progress, sequence: Sequence) -> None:
+
+class Display:
+    """The progress display: what the tracer is doing, and how far views, masks and pictures are."""
+
+    def __init__(self, progress: Progress, sequence: Sequence, text: str = "node: starting") -> None:
         views = len(sequence)
         self._sequence = sequence
         self._progress = progress
-        self._node = progress.add_task("node: starting", total=None)
+        self._tracer = progress.add_task(text, total=None)
         self._views = progress.add_task("views made", total=views)
-        self._masks = progress.add_task("masks received", total=views)
+        self._masks = progress.add_task("masks", total=views)
         self._pictures = progress.add_task("pictures shaded", total=sequence.animated)
 
-    def show(
-        self, health: dict[str, tuple[int, str, dict[str, str]]], report: Report, masks: int, pictures: int
-    ) -> None:
-        """Brings the display up to date."""
-        values = health.get("device", (0, "", {}))[2]
+    def show(self, text: str, views: int, masks: int, pictures: int, skipped: int) -> None:
+        """Brings the display up to date: what is going on, and how many of each there are."""
+        self._progress.update(self._tracer, description=text)
         if masks:
-            ready = values.get("ready after [s]", "-")
-            after = "" if ready == "-" else f", ready after {ready} s"
-            text = f"node: tracing on {values.get('device', '?')}{after}"
-        elif health:
-            text = "node: compiling kernels (first start only)"
-        else:
-            text = "node: starting"
-        self._progress.update(self._node, description=text)
-        if masks:
-            self._progress.update(self._node, total=1, completed=1)
-        self._progress.update(self._views, completed=max(report.rendered, masks))
-        self._progress.update(self._masks, completed=masks, total=len(self._sequence) - report.skipped)
-        self._progress.update(self._pictures, completed=pictures, total=self._sequence.animated - report.skipped)
+            self._progress.update(self._tracer, total=1, completed=1)
+        self._progress.update(self._views, completed=views)
+        self._progress.update(self._masks, completed=masks, total=len(self._sequence) - skipped)
+        self._progress.update(self._pictures, completed=pictures, total=self._sequence.animated - skipped)

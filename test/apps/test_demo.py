@@ -64,9 +64,7 @@ def test_parameter_file_is_yaml_of_the_same_values() -> None:
     read = reader.safe_load(yaml(values))["/shadow_tracer"]["ros__parameters"]
     assert read.keys() == values.keys()
     for name, value in values.items():
-        assert read[name] == (
-            pytest.approx(value, abs=1e-8) if isinstance(value, (float, list)) and name != "light_names" else value
-        )
+        assert read[name] == value  # every bit, so that node and library trace the same lights
         assert type(read[name]) is type(value)
 
 
@@ -100,8 +98,10 @@ def test_wrong_folder_is_an_error_in_words(tmp_path: Path, capsys: pytest.Captur
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(demo.importlib.util, "find_spec", lambda name: None if name in ("rclpy", "rich") else object())
-    assert demo.main([]) == 2
+    assert demo.main(["--node"]) == 2
     assert "needs rclpy, rich: pip install 'shadow_tracer[demo,ros]'" in capsys.readouterr().err
+    assert demo.main([]) == 2
+    assert "needs rich: pip install 'shadow_tracer[demo]'" in capsys.readouterr().err
 
 
 def test_quaternion_gives_the_rotation_back() -> None:
@@ -207,42 +207,98 @@ def test_stubborn_children_are_ended(
     assert not processes.folder.exists()
 
 
+SHORT = ["--frames", "3", "--budget", "0", "--size", "96x72", "--animation-height", "90", "--device", "cpu"]
+
+
+def check_files(folder: Path) -> None:
+    """All that a run of SHORT leaves, and nothing else."""
+    from PIL import Image
+
+    names = {"contact_sheet.png", "all_lights.png", "depth.png", "shadows.gif", "stage_times.md", "stage_times.json"}
+    names |= {f"{light}_{kind}.png" for light in ("lamp", "spotlight", "sun") for kind in ("mask", "shaded")}
+    assert {path.name for path in folder.iterdir()} == names
+    with Image.open(folder / "shadows.gif") as gif:
+        assert gif.n_frames == 3 and gif.height == 90
+
+
+@pytest.mark.slow
+def test_demo_by_the_library_alone(tmp_path: Path, child_environment: dict[str, str]) -> None:
+    """In an environment without ROS: the same files, and a figure for each light."""
+    for name in demo.NEEDED:
+        pytest.importorskip(name)
+    code = (
+        "import sys\n"
+        "sys.modules.update(dict.fromkeys(('rclpy', 'sensor_msgs', 'geometry_msgs', 'builtin_interfaces')))\n"
+        "from shadow_tracer.apps.cli import main\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    command = [sys.executable, "-c", code, "demo", *SHORT, "--output", str(tmp_path / "out")]
+    done = subprocess.run(command, env=child_environment, capture_output=True, text=True, timeout=400, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    check_files(tmp_path / "out")
+    assert all(f"{light} " in done.stdout.partition("are lit:")[2] for light in ("lamp", "spotlight", "sun"))
+
+
+@pytest.mark.slow
+def test_an_interrupt_ends_the_demo_without_the_node(tmp_path: Path, child_environment: dict[str, str]) -> None:
+    for name in demo.NEEDED:
+        pytest.importorskip(name)
+    command = [sys.executable, "-m", "shadow_tracer.apps.demo", "--frames", "2000", "--size", "64x48", "--output"]
+    with (tmp_path / "log").open("wb") as log:
+        child = subprocess.Popen([*command, str(tmp_path / "out")], env=child_environment, stdout=log, stderr=log)
+        try:
+            end = time.monotonic() + 120
+            while not (tmp_path / "out").is_dir() and time.monotonic() < end:
+                time.sleep(0.02)
+            child.send_signal(signal.SIGINT)
+            assert child.wait(timeout=60) == 130, (tmp_path / "log").read_text()
+        finally:
+            child.kill()
+            child.wait()
+    assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+def test_a_mesh_at_rest_is_the_one_of_the_view_before() -> None:
+    pytest.importorskip("rich"), pytest.importorskip("PIL")
+    from shadow_tracer.apps.library_run import LibraryRun
+
+    sequence = WorkshopSequence(2, (48, 36))
+    run = LibraryRun(sequence, "mesh_bvh", "", "cpu")
+    view = sequence.view(1)
+    first = run.shot(view)
+    again = run.shot(View(view.camera, view.depth, view.colour, None))
+    other = run.shot(View(view.camera, view.depth, view.colour, sequence.view(0).vertices))
+    assert all(np.array_equal(first.masks[name], again.masks[name]) for name in first.masks)
+    assert any(not np.array_equal(first.masks[name], other.masks[name]) for name in first.masks)
+    assert {"trace", "total"} <= first.stages.keys()
+
+
+def test_a_device_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("rich"), pytest.importorskip("PIL")
+    assert demo.main(["--device", "cuda:77", "--frames", "1", "--size", "16x16", "--output", str(tmp_path)]) == 1
+    assert "demo: device" in capsys.readouterr().err
+
+
 @pytest.mark.ros
 @pytest.mark.slow
 def test_demo_end_to_end(tmp_path: Path, child_environment: dict[str, str]) -> None:
     """Three frames through node and publisher; the masks of the still are those the library gives, bit by bit."""
-    for name in demo.NEEDED:
+    for name in demo.NEEDED_BY_NODE:
         pytest.importorskip(name)
     from builtin_interfaces.msg import Time
     from PIL import Image
 
     from shadow_tracer.apps import publisher
+    from shadow_tracer.apps.library_run import LibraryRun
     from shadow_tracer.ros.messages import pose_matrix
 
-    options = [
-        "--frames",
-        "3",
-        "--budget",
-        "0",
-        "--size",
-        "96x72",
-        "--animation-height",
-        "90",
-        "--device",
-        "cpu",
-        "--output",
-        str(tmp_path / "out"),
-    ]
+    options = [*SHORT, "--node", "--output", str(tmp_path / "out")]
     command = [sys.executable, "-m", "shadow_tracer.apps.demo", *options]
     done = subprocess.run(command, env=child_environment, capture_output=True, text=True, timeout=400, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "not answered" not in done.stdout
     sequence = WorkshopSequence(3, (96, 72))
-    names = {"contact_sheet.png", "all_lights.png", "depth.png", "shadows.gif", "stage_times.md", "stage_times.json"}
-    names |= {f"{light.name}_{kind}.png" for light in sequence.lights for kind in ("mask", "shaded")}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == names
-    with Image.open(tmp_path / "out" / "shadows.gif") as gif:
-        assert gif.n_frames == 3 and gif.height == 90
+    check_files(tmp_path / "out")
     stages = json.loads((tmp_path / "out" / "stage_times.json").read_text())["stages"]
     assert {"trace", "publish", "total"} <= stages.keys()
     assert all(0 <= times["median_ms"] <= times["p95_ms"] for times in stages.values())
@@ -264,6 +320,10 @@ def test_demo_end_to_end(tmp_path: Path, child_environment: dict[str, str]) -> N
             mask = np.asarray(picture)
         assert np.array_equal(mask, frame.mask(light.name, unknown=100)), light.name
         assert {0, 100, 255} == set(np.unique(mask).tolist())
+    shot = LibraryRun(sequence, "light_grid", "", "cpu").shot(view)
+    assert np.array_equal(shot.camera.camera_to_world, seen) and not np.array_equal(c.camera_to_world, seen)
+    for light in sequence.lights:
+        assert np.array_equal(shot.masks[light.name], frame.mask(light.name, unknown=100)), light.name
 
 
 @pytest.mark.ros
@@ -271,9 +331,19 @@ def test_demo_end_to_end(tmp_path: Path, child_environment: dict[str, str]) -> N
 @pytest.mark.parametrize("when", ["starting", "playing"])
 def test_interrupted_demo_leaves_nothing_behind(tmp_path: Path, child_environment: dict[str, str], when: str) -> None:
     """SIGINT to the demo alone: it ends its children, in the middle of their start or of their work."""
-    for name in demo.NEEDED:
+    for name in demo.NEEDED_BY_NODE:
         pytest.importorskip(name)
-    command = [sys.executable, "-m", "shadow_tracer.apps.demo", "--frames", "200", "--size", "96x72", "--output"]
+    command = [
+        sys.executable,
+        "-m",
+        "shadow_tracer.apps.demo",
+        "--node",
+        "--frames",
+        "200",
+        "--size",
+        "96x72",
+        "--output",
+    ]
     with (tmp_path / "log").open("wb") as log:
         child = subprocess.Popen([*command, str(tmp_path / "out")], env=child_environment, stdout=log, stderr=log)
         try:
@@ -303,6 +373,7 @@ def test_node_that_cannot_start_is_reported(tmp_path: Path, child_environment: d
         sys.executable,
         "-m",
         "shadow_tracer.apps.demo",
+        "--node",
         "--device",
         "cuda:77",
         "--frames",
