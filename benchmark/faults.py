@@ -14,16 +14,12 @@ import re
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-os.environ.setdefault("ROS_DOMAIN_ID", "60")
-os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp())
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -122,6 +118,7 @@ class Player:
     """A process that publishes a wall, its camera_info and a plate, 30 times a second, until it is killed."""
 
     def __init__(self, x: float) -> None:
+        # It inherits the environment of who starts it, and so the domain to join.
         command = [sys.executable, str(Path(__file__).resolve()), "--play", str(x)]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
@@ -139,7 +136,7 @@ class Player:
 
 def play(x: float) -> None:
     """What a :class:`Player` does."""
-    with Rig(start=False) as rig:
+    with Rig(start=False, domain=int(os.environ["ROS_DOMAIN_ID"])) as rig:
         while True:
             rig.mesh.publish(encode_mesh(*plate(x=x)))
             rig.send_frame(wall(), time.time_ns())
@@ -400,8 +397,7 @@ def stop_once(rig: Rig, rng: random.Random, number: signal.Signals, latest: floa
     orphans = {child for child in children if Path(f"/proc/{child}").exists()}
     assert not orphans, f"{what}: orphans {orphans}"
     rig.until(lambda: not _left_over(mapped - before), 5.0, f"{what}: shared memory is gone")
-    for heard in (*rig.masks.values(), rig.reports, rig.timings, rig.infos):
-        heard.clear()
+    rig.forget()
     return handled, took
 
 

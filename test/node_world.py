@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from harness import FOCAL, HEIGHT, SMALL, WIDTH, plate, time_msg
 from sensor_msgs.msg import PointCloud2, PointField
 
 from shadow_tracer import Bias, Bounds, Camera, ShadowTracer
+from shadow_tracer.testing.messages import pose_msg as pose_msg  # for those who import it from here
 
 BIAS = Bias(0.02, 0.003)  # the node's default
 UNKNOWN = 77
@@ -56,18 +55,6 @@ def cloud_msg(points: Any, stamp: int = 0, frame: str = "camera", kind: str = "f
     msg.fields = [PointField(name=name, offset=k * item, datatype=code, count=1) for k, name in enumerate(names)]
     msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
     msg.data.frombytes(rows.tobytes())
-    return msg
-
-
-def pose_msg(
-    position: Sequence[float], rotation: Sequence[float] = (0.0, 0.0, 0.0, 1.0), frame: str = "", stamp: int = 0
-) -> PoseStamped:
-    """A pose with a quaternion x y z w."""
-    msg = PoseStamped()
-    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
-    p, q = msg.pose.position, msg.pose.orientation
-    p.x, p.y, p.z = (float(value) for value in position)
-    q.x, q.y, q.z, q.w = (float(value) for value in rotation)
     return msg
 
 

@@ -72,6 +72,13 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
         _REGISTRY,
         "shadow_tracer.scene",
     ),
+    "testing": (
+        "shadow_tracer.testing",
+        "shadow_tracer.ros.cdr",
+        "shadow_tracer.ros.diagnostics",
+        "shadow_tracer.ros.node",
+        "shadow_tracer.scene",
+    ),
 }
 _ROS = (
     "rclpy",
@@ -94,6 +101,7 @@ _FOREIGN = {
     "__init__": ("warp", *_ROS),
     "ros": ("warp",),
     "apps": ("warp",),
+    "testing": ("warp", "pytest"),
 }
 
 

@@ -106,7 +106,9 @@ def test_package_xml_names_every_ros_package_in_use(manifest: ElementTree.Elemen
     """Each ROS import of the package and of its launch files has its exec_depend, and no exec_depend is left over."""
     sources = [*(ROOT / NAME).rglob("*.py"), *(ROOT / "launch").glob("*.py")]
     third_party = (
-        set[str]().union(*(imports_of(path) for path in (ROOT / NAME / "ros").rglob("*.py")))
+        set[str]().union(
+            *(imports_of(path) for room in ("ros", "testing") for path in (ROOT / NAME / room).rglob("*.py"))
+        )
         - set(sys.stdlib_module_names)
         - {NAME}
     )

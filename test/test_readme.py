@@ -30,8 +30,13 @@ PAGES = [README, *OTHERS, *sorted((ROOT / "docs").glob("*.md"))]
 IDS = [page.relative_to(ROOT).as_posix() for page in PAGES]
 DOCS = ROOT / "docs"
 NODE, LIBRARY, INSTALL, RECORDINGS = (DOCS / f"{name}.md" for name in ("node", "library", "install", "recordings"))
+<<<<<<< HEAD
 FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS, DOCS / "troubleshooting.md"]
 FOR_USERS += [DOCS / "integration.md", DOCS / "slam.md"]
+=======
+FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS]
+FOR_USERS += [DOCS / f"{name}.md" for name in ("troubleshooting", "integration", "testing")]
+>>>>>>> 835da4a (shadow_tracer.testing: the harness of our tests, for users)
 
 _BLOCK = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.MULTILINE)
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
@@ -131,7 +136,7 @@ def test_the_code_for_the_node_gives_what_its_comments_say(ros: Any) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=IDS)
 def test_code_compiles(page: Path) -> None:
-    for language in ("python", "python ros"):
+    for language in ("python", "python ros", "python test"):
         for code in blocks(page, language):
             compile(code, page.name, "exec")
     for code in blocks(page, "yaml"):
