@@ -7,6 +7,7 @@ Nodes are processes of their own. A scenario either returns a sentence about wha
 from __future__ import annotations
 
 import argparse
+import array
 import functools
 import os
 import random
@@ -24,7 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from harness import FOCAL, NodeProcess, Rig, nanoseconds, plate, reliable, wall
+from compressed_images import damaged, png_of
+from harness import FOCAL, NodeProcess, Rig, info_msg, nanoseconds, plate, reliable, wall
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.qos import DurabilityPolicy
 from visualization_msgs.msg import MarkerArray
@@ -65,11 +67,12 @@ def patches(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 @contextmanager
 def node_and_friend(
-    parameters: dict[str, Any] | None = None, *, namespace: str = "", latched: bool = False, mesh: Any = None
+    parameters: dict[str, Any] | None = None, *, mesh: Any = None, namespace: str = "", **keywords: Any
 ) -> Iterator[tuple[NodeProcess, Rig]]:
-    """A node process that is ready, and a friend that hears it. A ``mesh`` is published before the node exists."""
+    """A node process that is ready, and a friend that hears it, a rig with the ``keywords``. A ``mesh`` is published
+    before the node exists."""
     arguments = ["-r", f"__ns:={namespace}"] if namespace else []
-    with Rig(start=False, namespace=namespace, latched=latched) as rig:
+    with Rig(start=False, namespace=namespace, **keywords) as rig:
         if mesh is not None:
             rig.mesh.publish(encode_mesh(*mesh))
         with NodeProcess({**SHOW_UNKNOWN, **(parameters or {})}, arguments=arguments) as process:
@@ -284,6 +287,65 @@ def bounds_of_one() -> str:
     return "one triangle, one ray, one light, one queue entry: same masks, the rest refused by name"
 
 
+# Depth images that are packed, and damaged
+
+
+def damaged_compressed_depth() -> str:
+    """Each is refused by name; the masks before and after are right, and no bomb takes memory."""
+    depth = np.nan_to_num(wall() * 1000).astype(np.uint16)
+    mask = expected(*plate(), depth)
+    with node_and_friend({"depth_image_transport": "compressedDepth"}, codec="rvl") as (process, rig):
+        rig.mesh.publish(encode_mesh(*plate()))
+        trace_until(rig, depth, mask, "the mesh")
+        before = _resident(process)
+        rig.forget()
+        count = 0
+        for count, (what, format, data, refusal) in enumerate(damaged(depth), 1):
+            rig.codec = "png" if count % 2 else "rvl"
+            heard = len(rig.masks[""])
+            msg = rig.depth_msg(depth, rig.next_stamp())
+            msg.format, msg.data = format, array.array("B", data)
+            rig.info.publish(info_msg(64, 48, rig.stamp))
+            rig.depth.publish(msg)
+            rig.until(lambda number=str(count): rig.value(DEPTH, "refused") == number, what=f"{what} is refused")
+            said = rig.value(DEPTH, "last refusal")
+            assert said.startswith(refusal), f"{what}: {said}"
+            np.testing.assert_array_equal(rig.trace(depth), mask)
+            assert len(rig.masks[""]) == heard + 1, f"{what} has a mask"
+        rig.wait_status(DEPTH, ERROR, "image refused, format: expected")
+        unknown = _whole_but_empty(rig)
+        grown = _resident(process, largest=True) - before
+        assert grown < 64 * 2**20, f"{grown / 2**20:.0f} MiB were taken for a while"
+        np.testing.assert_array_equal(rig.trace(depth), mask)
+        assert not has_faults(rig)
+    return (
+        f"{count} refused by name, {unknown} of nothing unknown, masks right after each, peak {grown / 2**20:.0f} MiB"
+    )
+
+
+def _whole_but_empty(rig: Rig) -> int:
+    """Images that can be read and say nothing: no pixel is measured, or camera_info is of another size."""
+    for body in (png_of(64, 48, bytes(200_000_000)), png_of(64, 48, bytes(48 * (1 + 2 * 64)))):
+        msg = rig.depth_msg(wall(), rig.next_stamp())
+        msg.format, msg.data = "16UC1; compressedDepth png", array.array("B", bytes(12) + body)
+        rig.info.publish(info_msg(64, 48, rig.stamp))
+        rig.depth.publish(msg)
+        assert (rig.mask_of(rig.stamp) == UNKNOWN).all()
+    rig.info.publish(info_msg(64, 48, rig.next_stamp()))
+    rig.depth.publish(rig.depth_msg(wall(32, 24), rig.stamp))
+    assert (rig.mask_of(rig.stamp) == UNKNOWN).all()
+    return 3
+
+
+def _resident(process: NodeProcess, largest: bool = False) -> int:
+    """Resident memory [B]: that of now, from which on the largest one is counted, or the largest since then."""
+    folder = Path(f"/proc/{process.pid}")
+    if not largest:
+        (folder / "clear_refs").write_text("5")
+    name = "VmHWM" if largest else "VmRSS"
+    return 1024 * int(re.search(rf"^{name}:\s*(\d+) kB$", (folder / "status").read_text(), re.MULTILINE)[1])
+
+
 # Several nodes
 
 
@@ -439,6 +501,7 @@ SCENARIOS: dict[str, Callable[..., str]] = {
         sim_time_jumps_back,
         mesh_larger_than_bounds,
         bounds_of_one,
+        damaged_compressed_depth,
         two_nodes,
         several_cameras,
         signals_at_random_times,

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps a node busy for many frames with everything that changes, and looks at what is left behind.
 
-The node is a process of its own. Meshes change on four topics, lights move by topics and parameters, resolutions and
-depth formats switch, parameters are set, pipelines are exchanged, queries are asked; every few frames a second pipeline
-traces the same frame; a viewer of markers comes and goes. Each frame must be answered before the next is sent. Every
-few hundred all meshes are cleared and a known one is traced: its mask must have the library's bits. In the end memory
-is flat and no two pipelines disagreed.
+The node is a separate process. Meshes change on four topics, lights move by topics and parameters, resolutions and
+depth formats switch, parameters are set, pipelines are exchanged, queries are asked; packed images come damaged and
+must be refused; every few frames a second pipeline traces the same frame; a viewer of markers comes and goes. Each
+frame must be answered before the next is sent. Every few hundred all meshes are cleared and a known one is traced: its
+mask must have the library's bits. In the end memory is flat and no two pipelines disagreed.
 """
 
 from __future__ import annotations
 
 import argparse
+import array
 import os
 import random
 import signal
@@ -23,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
+from compressed_images import damaged
 from diagnostic_msgs.srv import SelfTest
 from geometry_msgs.msg import PoseStamped
 from harness import FOCAL, NodeProcess, Rig, info_msg, plate, reliable, wall
@@ -47,7 +49,7 @@ from shadow_tracer.ros.cdr_markers import (
     encode_markers,
     parse_markers,
 )
-from shadow_tracer.ros.diagnostics import DEVICE, MESH, PROCESSING
+from shadow_tracer.ros.diagnostics import DEPTH, DEVICE, MESH, PROCESSING
 
 SLOPE_LIMIT = 1024.0  # bytes per frame
 WARM_UP = 0.2  # share of the frames
@@ -101,7 +103,8 @@ class Soak:
         self.encoding = "float32"
         self.pipeline = PIPELINES[0]
         self.lights = ["lamp"]
-        self.asked = self.frames = self.checkpoints = self.seen = 0
+        self.asked = self.frames = self.checkpoints = self.seen = self.refusals = 0
+        self.damaged = list(damaged(np.full((48, 64), 2000, np.uint16)))
         self.viewer: list[Subscription] = []
         self.memory: list[tuple[int, int]] = []
         self.reserved: dict[str, set[str]] = {}
@@ -227,7 +230,19 @@ class Soak:
         depth[:: self.rng.randrange(2, 9), :: self.rng.randrange(2, 9)] += np.float32(self.rng.uniform(-0.2, 0.2))
         if self.encoding == "uint16":
             depth = np.nan_to_num(depth * 1000).astype(np.uint16)
+        if self.rig.codec and self.rng.random() < 0.02:
+            self.send_damaged(depth)
         return self.trace(depth)
+
+    def send_damaged(self, depth: np.ndarray) -> None:
+        """Send a packed depth image that cannot be read; it must be refused."""
+        what, format, data, _ = self.rng.choice(self.damaged)
+        msg = self.rig.depth_msg(depth, self.rig.next_stamp())
+        msg.format, msg.data = format, array.array("B", data)
+        self.rig.depth.publish(msg)
+        self.refusals += 1
+        refusals = str(self.refusals)
+        self.rig.until(lambda: self.rig.value(DEPTH, "refused") == refusals, what=f"{what} is refused")
 
     def trace(self, depth: np.ndarray) -> np.ndarray:
         """Send a depth image; its mask must come."""
@@ -341,6 +356,7 @@ def _judge(soak: Soak, figures: dict[str, str], seconds: float) -> tuple[list[di
         "arrays of markers seen": soak.seen,
         "queries asked": soak.asked,
         "queries answered": len(soak.answers),
+        "damaged images, all refused": soak.refusals,
         **figures,
         f"resident memory after {WARM_UP:.0%} of the frames [MiB]": sizes[0] / 2**20,
         "resident memory at the end [MiB]": sizes[-1] / 2**20,

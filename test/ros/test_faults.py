@@ -14,6 +14,10 @@ def test_publishers_may_be_killed_and_come_back() -> None:
     assert faults.publisher_killed_and_restarted(places=(0.0, 0.1), silence=False)
 
 
+def test_damaged_compressed_depth_is_refused_by_name() -> None:
+    assert faults.damaged_compressed_depth()
+
+
 def test_nodes_in_namespaces_do_not_hear_each_other() -> None:
     assert faults.several_cameras(count=2)
 
