@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -33,10 +33,11 @@ class Rig(testing.Harness):
     """As the package's, on top of :data:`SMALL`.
 
     Args:
-        parameters: overrides of the node, on top of :data:`SMALL`.
         codec: png or rvl: depth images are sent packed, as compressedDepth.
         keywords: as for :class:`shadow_tracer.testing.Harness`.
     """
+
+    defaults = {**testing.DEFAULTS, **SMALL}
 
     def __init__(self, parameters: Mapping[str, Any] | None = None, *, codec: str = "", **keywords: Any) -> None:
         self.codec = codec
@@ -48,10 +49,6 @@ class Rig(testing.Harness):
             self.friend.destroy_publisher(self.depth)
             topic = "depth/image_rect/compressedDepth"
             self.depth = self.friend.create_publisher(CompressedImage, topic, reliable())
-
-    def start(self, parameters: Mapping[str, Any] | None = None, arguments: Sequence[str] = (), **keywords: Any) -> Any:
-        """As the package's, on top of :data:`SMALL`."""
-        return super().start({**SMALL, **(parameters or {})}, arguments, **keywords)
 
     @property
     def core(self) -> Core:

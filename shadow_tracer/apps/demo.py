@@ -86,7 +86,7 @@ def perform(chosen: argparse.Namespace) -> None:
 
 
 def _through_the_node(chosen: argparse.Namespace, sequence: Sequence, console: Any, what: str) -> Any:
-    """The recording of what node and publisher, processes of their own, said to each other."""
+    """The recording of what node and publisher, each in a process, said to each other."""
     from shadow_tracer.apps.recording import Recorder, Report
 
     with Processes() as processes:

@@ -109,8 +109,14 @@ class Friend:
     def collect(self, kind: Any, topic: str, timeout: float = TIMEOUT) -> list[Any]:
         """The list of all messages of a topic from the first call on, which waits for somebody who publishes it."""
         if topic not in self._collected:
-            subscription = self.listen(kind, topic, self._collected.setdefault(topic, []))
-            self.until(lambda: subscription.get_publisher_count() > 0, timeout, f"{topic} is published")
+            into: list[Any] = []
+            subscription = self.listen(kind, topic, into)
+            try:
+                self.until(lambda: subscription.get_publisher_count() > 0, timeout, f"{topic} is published")
+            except NotInTime:
+                self.friend.destroy_subscription(subscription)
+                raise
+            self._collected[topic] = into
         return self._collected[topic]
 
     def publisher(

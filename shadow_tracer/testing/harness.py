@@ -54,11 +54,14 @@ class Harness(Friend):
         domain: as for :func:`isolated`.
 
     Attributes:
+        defaults: :data:`DEFAULTS`; a subclass may have others.
         node: the node under test if it runs in this process. ``process``: the one that runs in another.
         stamp: that of the last frame [ns].
         masks: masks heard so far, by the name of the light, "" for that of all lights.
         reports, timings, infos: messages heard so far on ``/diagnostics``, ``~/timing`` and ``~/camera_info``.
     """
+
+    defaults: Mapping[str, Any] = DEFAULTS
 
     def __init__(
         self,
@@ -74,13 +77,14 @@ class Harness(Friend):
         super().__init__(namespace, domain)
         self.node: ShadowNodeMixin | None = None
         self.process: NodeProcess | None = None
+        self._given = dict(parameters or {}), tuple(arguments)
         self._separate = process
         self._namespace = namespace
         self.stamp = 1_000_000_000_000
         try:
             self._connect(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
             if start:
-                self.start(parameters, arguments)
+                self.start()
         except BaseException:
             self.close()
             raise
@@ -111,7 +115,7 @@ class Harness(Friend):
         """Start the node, and wait until it traces and is connected.
 
         Args:
-            parameters, arguments: as for the class.
+            parameters, arguments: on top of those given to the class.
             kind: class of a node in this process.
             wait: False: return at once.
             timeout: seconds to wait.
@@ -121,15 +125,17 @@ class Harness(Friend):
         """
         if self.node is not None or self.process is not None:
             raise RuntimeError("start: the node has been started already")
+        values = {**self.defaults, **self._given[0], **(parameters or {})}
+        arguments = [*self._given[1], *arguments]
         if self._separate:
             space = ["-r", f"__ns:=/{self._namespace.strip('/')}"] if self._namespace else []
-            self.process = NodeProcess(parameters, arguments=[*space, *arguments])
+            self.process = NodeProcess(values, arguments=[*space, *arguments])
             self._left.callback(self.process.close)
             if wait:
                 self.process.wait_for("Ready", timeout)
                 self.connected()
             return self.process
-        overrides = [Parameter(name, value=value) for name, value in {**DEFAULTS, **(parameters or {})}.items()]
+        overrides = [Parameter(name, value=value) for name, value in values.items()]
         cli = ["--ros-args", *arguments] if arguments else None
         self.node = node = kind(
             context=self.context, parameter_overrides=overrides, cli_args=cli, namespace=self._namespace or None
@@ -266,12 +272,10 @@ class Harness(Friend):
         return {pair.key: pair.value for pair in msg.status[0].values}
 
     def listen_to_light(self, name: str, timeout: float = TIMEOUT) -> list[Image]:
-        """The list of all masks of one light from now on; waits until the node publishes them."""
-        into = self.masks.setdefault(name, [])
-        topic = f"{NAME}/mask/{name}"
-        subscription = self.listen(Image, topic, into)
-        self.until(lambda: subscription.get_publisher_count() > 0, timeout, f"{topic} is published")
-        return into
+        """The list of all masks of one light from the first call on, which waits until the node publishes them."""
+        if name not in self.masks:
+            self.masks[name] = self.collect(Image, f"{NAME}/mask/{name}", timeout)
+        return self.masks[name]
 
     def status(self, name: str) -> DiagnosticStatus | None:
         """The last status of that name, such as ``input depth``, that the node has published on /diagnostics."""
