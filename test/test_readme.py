@@ -30,13 +30,8 @@ PAGES = [README, *OTHERS, *sorted((ROOT / "docs").glob("*.md"))]
 IDS = [page.relative_to(ROOT).as_posix() for page in PAGES]
 DOCS = ROOT / "docs"
 NODE, LIBRARY, INSTALL, RECORDINGS = (DOCS / f"{name}.md" for name in ("node", "library", "install", "recordings"))
-<<<<<<< HEAD
-FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS, DOCS / "troubleshooting.md"]
-FOR_USERS += [DOCS / "integration.md", DOCS / "slam.md"]
-=======
 FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS]
-FOR_USERS += [DOCS / f"{name}.md" for name in ("troubleshooting", "integration", "testing")]
->>>>>>> 835da4a (shadow_tracer.testing: the harness of our tests, for users)
+FOR_USERS += [DOCS / f"{name}.md" for name in ("troubleshooting", "integration", "slam", "testing")]
 
 _BLOCK = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.MULTILINE)
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
