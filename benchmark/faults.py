@@ -36,6 +36,7 @@ from shadow_tracer.ros.cdr import encode_mesh
 from shadow_tracer.ros.diagnostics import DEPTH, ERROR, MESH, PROCESSING, WARN
 
 UNKNOWN = 77
+PATIENCE = 20.0  # s
 SHOW_UNKNOWN = {"mask.unknown_value": UNKNOWN}
 STOPS = (signal.SIGINT, signal.SIGTERM)
 _SHARED_MEMORY = Path("/dev/shm")
@@ -100,11 +101,16 @@ def first_mask(rig: Rig) -> None:
 
 
 def trace_until(rig: Rig, depth: np.ndarray, mask: np.ndarray, what: str) -> int:
-    """Send frames until the mask is the expected one: messages of other topics have arrived by then."""
-    for attempt in range(1, 101):
+    """Send frames until the mask is the expected one: messages of other topics have arrived by then.
+
+    The limit is a time, not a number of frames: a subscription follows its publishers once a second.
+    """
+    deadline, attempt = time.monotonic() + PATIENCE, 0
+    while time.monotonic() < deadline:
+        attempt += 1
         if np.array_equal(rig.trace(depth), mask):
             return attempt
-    raise AssertionError(f"100 frames, none of them with {what}")
+    raise AssertionError(f"{attempt} frames in {PATIENCE:g} s, none of them with {what}; {rig.last_statuses()}")
 
 
 def has_faults(rig: Rig) -> bool:

@@ -36,7 +36,7 @@ from sensor_msgs.msg import CompressedImage, PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from benchmark.faults import check_end, expected, first_mask
+from benchmark.faults import PATIENCE, check_end, expected, first_mask
 from benchmark.fuzz_messages import cloud_msg, pose_msg
 from benchmark.fuzz_node import robust_slope
 from shadow_tracer.ros.cdr import encode_mesh
@@ -279,13 +279,11 @@ class Soak:
         vertices, self.triangles = plate(x=self.rng.uniform(-0.1, 0.1))
         self.rig.mesh.publish(encode_mesh(vertices, self.triangles))
         mask = expected(vertices, self.triangles)
-        for _ in range(100):
-            traced = self.trace(wall())
-            if np.array_equal(traced, mask):
-                break
-        else:
-            differing = f"{int((traced != mask).sum())} pixels differ from the library's mask"
-            raise AssertionError(f"frame {self.frames}, after ~/clear_meshes: {differing}; {self.state()}")
+        deadline = time.monotonic() + PATIENCE
+        while not np.array_equal(traced := self.trace(wall()), mask):
+            if time.monotonic() > deadline:
+                differing = f"{int((traced != mask).sum())} pixels differ from the library's mask"
+                raise AssertionError(f"frame {self.frames}, after ~/clear_meshes: {differing}; {self.state()}")
         self.checkpoints += 1
 
     def state(self) -> str:
