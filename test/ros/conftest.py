@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib.util
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterable
@@ -46,10 +48,12 @@ HAS_ROS = all(importlib.util.find_spec(name) for name in ("rclpy", "sensor_msgs"
 
 sys.path.insert(0, str(HERE))  # for tf_double
 
-# All this is read when a context is made, and must be there before rclpy is first imported.
+# All this is read when a context is made, and must be there before rclpy is first imported. Nodes of
+# shadow_tracer.testing, and so of Rig, have a domain that no other process holds.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 101)
 os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="shadow_tracer_ros_log_")
+atexit.register(shutil.rmtree, os.environ["ROS_LOG_DIR"], ignore_errors=True)
 os.environ.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
 
 
