@@ -10,7 +10,7 @@ from weakref import WeakValueDictionary
 
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
-from shadow_tracer.gpu.occluders.world import Change, SceneBuffers
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 
@@ -62,8 +62,9 @@ class Pipeline(Protocol):
         and nothing it launches depends on more than the numbers of samples and triangles and on what
         ``TriangleRecords.plan`` has said."""
 
-    def update(self, change: Change) -> None:
-        """Take note of the scene's new state in the buffers; called once per frame before any light."""
+    def follow(self) -> None:
+        """Make or mend what depends on the scene alone, if its revision is not the one that this was made for; called
+        once per frame before any light."""
 
     @property
     def lights_together(self) -> int:

@@ -26,7 +26,7 @@ from shadow_tracer.gpu.engine.share import Share
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
-from shadow_tracer.gpu.occluders.world import Change, SceneBuffers
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.anchor import depth_anchor, points_anchor
 from shadow_tracer.gpu.samples.held import Samples, depth_of
 from shadow_tracer.gpu.samples.passes import Pass
@@ -116,13 +116,13 @@ class FrameTracer:
         """Names of the pipelines that may trace a frame: several if one of them is chosen each time."""
         return frozenset(name for name, _ in self._teams)
 
-    def _choose(self, change: Change, rays: int, lights: Sequence[Light]) -> Situation | None:
+    def _choose(self, change: int, rays: int, lights: Sequence[Light]) -> Situation | None:
         """Hand the frame to the pipeline that is expected to be the fastest."""
         if self._chooser is None or self._seconding:
             return None
         look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, SphereLight))
         count = sum(light.samples if isinstance(light, SphereLight) else 1 for light in lights)
-        situation = Situation(int(change), rays, self._scene.triangle_count, count, look != self._lights)
+        situation = Situation(change, rays, self._scene.triangle_count, count, look != self._lights)
         self._lights = look
         team = self._teams[self._chooser.choose(situation)]
         if team is not self._team:
@@ -186,7 +186,7 @@ class FrameTracer:
         """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
         order."""
         self._begin_frame()
-        before = self._scene.version
+        before = self._scene.revision
         with self.stages.stage("upload"):
             situation = self._choose(self._sync(scene), depth.size, lights)
             begin, team = time.perf_counter(), self._working(depth.size)
@@ -196,7 +196,7 @@ class FrameTracer:
                 working = _deal(team, self._cut(team, depth), camera.width)
                 self._samples.put_depth(self._frames(working), depth, camera, bias)
         self._anchor = depth_anchor(depth, camera, bias, self._anchor)
-        caught_up = all(share.seen == before for share in working)
+        caught_up = all(share.followed == before for share in working)
         traced = self._trace_all(working, lights, depth.dtype if new else None)
         self._learn(situation if caught_up and not self._cold else None, begin)
         if new and not self._cold and len(team) > 1:
@@ -261,15 +261,16 @@ class FrameTracer:
         shares = [share for team in self._teams.values() for share in team]
         return [*shares, self._second] if self._second else shares
 
-    def _sync(self, scene: Scene) -> Change:
-        change = self._scene.sync(scene)
-        for share in self._all_shares():
-            share.news = max(share.news, change)
-        return change
+    def _sync(self, scene: Scene) -> int:
+        """Copy the scene; returns what has changed of it: 0 nothing, 1 positions, 2 triangles."""
+        before = self._scene.revision
+        self._scene.sync(scene)
+        after = self._scene.revision
+        return 0 if after == before else 1 if after.topology == before.topology else 2
 
     def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Any) -> Traced:
         for share in working:
-            share.take_note(self._scene.version)
+            share.follow()
         if not sphere_points.is_soft(lights):
             return self._trace_lights(working, lights, source)
         count = sum(share.frame.count for share in working)

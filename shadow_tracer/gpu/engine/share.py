@@ -19,7 +19,7 @@ from shadow_tracer.gpu.accelerators.interface import Context, Pipeline
 from shadow_tracer.gpu.accelerators.registry import make_pipeline
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.stages import Stages
-from shadow_tracer.gpu.occluders.world import Change
+from shadow_tracer.gpu.occluders.world import Revision
 from shadow_tracer.gpu.samples import pixels, rays
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
 from shadow_tracer.gpu.samples.passes import Pass
@@ -40,8 +40,7 @@ class Share:
         frame: their buffers.
         names: pipeline and variant.
         pipeline: it.
-        news: the worst that has happened to the scene since the pipeline took note.
-        seen: the version of the scene it took note of, -1 if there is none yet.
+        followed: the revision of the scene that the pipeline has followed last, None if there is none yet.
         busy: seconds that a frame's rays have taken, set to zero by whoever begins one.
     """
 
@@ -50,8 +49,7 @@ class Share:
         self.frame: FrameBuffers = context.frame
         self.names = (pipeline, variant)
         self.pipeline: Pipeline = make_pipeline(pipeline, variant, context)
-        self.news = Change.TOPOLOGY
-        self.seen = -1
+        self.followed: Revision | None = None
         self.busy = 0.0
         self._kept = KeptRays(self.frame) if keep and self.pipeline.keeps_rays else None
         self._again = False
@@ -61,10 +59,10 @@ class Share:
         """Times of the stages."""
         return self.context.stages
 
-    def take_note(self, version: int) -> None:
-        """Tell the pipeline what has happened to the scene, which is at ``version`` now."""
-        self.pipeline.update(self.news)
-        self.news, self.seen = Change.NOTHING, version
+    def follow(self) -> None:
+        """Let the pipeline make what it makes of the scene alone."""
+        self.pipeline.follow()
+        self.followed = self.context.scene.revision
 
     def begin(self, depth: wp.array | None) -> None:
         """Counters to zero; samples from a depth image if there is one."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.occluders.world import SceneBuffers
+from shadow_tracer.gpu.occluders.world import Revision, SceneBuffers
 
 CLUSTER = 16  # triangles
 _BOXES = 16  # clusters whose boxes are made, and looked at, together
@@ -56,13 +56,16 @@ class ClusterBoxes:
 
     def __init__(self, max_triangles: int, scene: SceneBuffers) -> None:
         self._scene = scene
+        self._made_for: Revision | None = None
         items = -(-max_triangles // (CLUSTER * _BOXES))
         self._boxes = wp.empty(6 * _BOXES * items, dtype=float, device=scene.device)
         self._made = wp.zeros(items, dtype=int, device=scene.device)
 
-    def forget(self) -> None:
-        """The scene has changed."""
-        self._made.zero_()
+    def follow(self) -> None:
+        """Boxes of another revision of the scene are not used."""
+        if self._made_for != self._scene.revision:
+            self._made.zero_()
+            self._made_for = self._scene.revision
 
     def clusters(self) -> Clusters:
         """As kernels see them: ``claim`` and make what is needed."""

@@ -102,7 +102,7 @@ class TriangleRecords:
                 tuple(frame.light),
                 tuple(frame.center),
                 frame.inverse_scale,
-                self.scene.version,
+                self.scene.revision,
                 self.front_face_culling,
             )
             place = self.place(frame.number)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,17 @@ from shadow_tracer.scene.checks import FloatArray, all_three
 from shadow_tracer.scene.mesh import Mesh, Scene
 
 
-class Change(IntEnum):
-    """What happened to the scene since the last synchronisation, worst last."""
+@dataclass(frozen=True)
+class Revision:
+    """What is on the device. Whoever makes something of the scene keeps the revision that it was made for.
 
-    NOTHING = 0
-    POSITIONS = 1
-    TOPOLOGY = 2
+    Attributes:
+        topology: another number whenever triangles may have others' places or corners.
+        positions: another number whenever anything is different.
+    """
+
+    topology: int = 0
+    positions: int = 0
 
 
 @wp.kernel(enable_backward=False)
@@ -101,62 +105,60 @@ class SceneBuffers:
         self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
         self.triangle_count = 0
         self.vertex_count = 0
-        self.version = 0  # grows with every change
-        self._box: tuple[int, FloatArray, FloatArray] | None = None
+        self.revision = Revision()
+        self._box: tuple[Revision, FloatArray, FloatArray] | None = None
         self._parts: dict[str, _Part] = {}
-        self._revision = -1
+        self._copied = -1  # revision of the scene
 
-    def sync(self, scene: Scene) -> Change:
+    def sync(self, scene: Scene) -> None:
         """Copy what changed in ``scene`` since the last call; all of it after a call that raised."""
-        if scene.revision == self._revision:
-            return Change.NOTHING
+        if scene.revision == self._copied:
+            return
         try:
-            return self._copy(scene)
+            self._copy(scene)
         except BaseException:
-            self._parts, self._revision = {}, -1
+            self._parts, self._copied = {}, -1
             raise
 
-    def _copy(self, scene: Scene) -> Change:
-        change = Change.NOTHING
+    def _copy(self, scene: Scene) -> None:
+        placed = positioned = True
         parts: dict[str, _Part] = {}
         first_vertex = first_triangle = 0
         for mesh in scene:
-            part, part_change = self._sync_part(mesh, first_vertex, first_triangle)
+            part, part_placed, part_positioned = self._sync_part(mesh, first_vertex, first_triangle)
             parts[mesh.name] = part
-            change = max(change, part_change)
+            placed, positioned = placed and part_placed, positioned and part_positioned
             first_vertex += part.vertex_count
             first_triangle += part.triangle_count
         # A mesh that is gone leaves the others in their places if it was the last, be it vertices without triangles.
-        if (first_vertex, first_triangle) != (self.vertex_count, self.triangle_count):
-            change = Change.TOPOLOGY
+        placed = placed and (first_vertex, first_triangle) == (self.vertex_count, self.triangle_count)
         self._parts = parts
-        self._revision = scene.revision
+        self._copied = scene.revision
         self.triangle_count = first_triangle
         self.vertex_count = first_vertex
-        if change != Change.NOTHING:
-            self.version += 1
-        return change
+        if not (placed and positioned):
+            next_one = self.revision.positions + 1
+            self.revision = Revision(self.revision.topology if placed else next_one, next_one)
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         return int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
 
-    def _sync_part(self, mesh: Mesh, first_vertex: int, first_triangle: int) -> tuple[_Part, Change]:
+    def _sync_part(self, mesh: Mesh, first_vertex: int, first_triangle: int) -> tuple[_Part, bool, bool]:
+        """Copy what changed of a mesh; returns whether its triangles, and its vertices, were there."""
         old = self._parts.get(mesh.name)
-        change = Change.NOTHING
         placed = (
             old is not None
             and old.topology == mesh.topology_revision
             and (old.first_vertex, old.first_triangle) == (first_vertex, first_triangle)
         )
         if not placed:
-            change = Change.TOPOLOGY
             self.upload(self.triangles, mesh.triangles + np.int32(first_vertex), first_triangle)
         moved = not placed or old is None or old.vertices != mesh.vertices_revision
         if moved and not forms.wide(self.device):
             self.upload(self.local, mesh.vertices, first_vertex)
-        if moved or old is None or old.pose != mesh.pose_revision:
-            change = max(change, Change.POSITIONS)
+        positioned = not moved and old is not None and old.pose == mesh.pose_revision
+        if not positioned:
             self._place(mesh, first_vertex)
         part = _Part(
             first_vertex,
@@ -169,7 +171,7 @@ class SceneBuffers:
             mesh.vertices,
             mesh.pose,
         )
-        return part, change
+        return part, placed, positioned
 
     def _place(self, mesh: Mesh, first: int) -> None:
         """A mesh's vertices in the world, from vertex ``first`` on."""
@@ -185,8 +187,8 @@ class SceneBuffers:
 
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Low and high corner of a box in the world around all finite vertices; zeros if there are none."""
-        if self._box is None or self._box[0] != self.version:
-            self._box = (self.version, *self._find_box())
+        if self._box is None or self._box[0] != self.revision:
+            self._box = (self.revision, *self._find_box())
         return self._box[1], self._box[2]
 
     def _find_box(self) -> tuple[FloatArray, FloatArray]:

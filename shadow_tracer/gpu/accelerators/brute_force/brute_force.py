@@ -24,7 +24,6 @@ from shadow_tracer.gpu.device.counters import EXACT, LEAF_TESTS, RETESTED
 from shadow_tracer.gpu.exact.decision import MAGNITUDE_FLOOR, decide, is_ray, ray_magnitude
 from shadow_tracer.gpu.exact.determinant import determinant_sign
 from shadow_tracer.gpu.exact.light_frame import PENDING, SHADOWED
-from shadow_tracer.gpu.occluders.world import Change
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.queue import test_everything
 
@@ -159,7 +158,7 @@ class BruteForce:
         self._variant = variant
         self._context = context
 
-    def update(self, change: Change) -> None:
+    def follow(self) -> None:
         """Nothing is kept between frames."""
 
     def prepare(self, work: Pass) -> None:

@@ -30,7 +30,7 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.exact.decision import YES, filter_pair, is_ray, ray_magnitude
 from shadow_tracer.gpu.exact.light_frame import LIT, PENDING, SHADOWED, towards_light
-from shadow_tracer.gpu.occluders.world import Change
+from shadow_tracer.gpu.occluders.world import Revision
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.queue import enqueue, test_everything
 
@@ -247,22 +247,23 @@ class MeshBvh:
         self._tree.bounds = wp.empty(nodes * BOUNDS_PER_NODE, dtype=float, device=context.frame.device)
         self._tree.links = wp.empty(nodes * LINKS_PER_NODE, dtype=int, device=context.frame.device)
         self._wide_nodes = wp.zeros(1, dtype=int, device=context.frame.device)
-        self._version = -1
+        self._made_for: Revision | None = None
         self._built_count = 0
         self._fresh_tests: float | None = None  # tests per ray of the first frame after a build
         self._worn_out = False
 
-    def update(self, change: Change) -> None:
-        """Refit or build the tree if the scene has changed since this pipeline last saw it."""
+    def follow(self) -> None:
+        """Refit or build the tree if the scene is not the one that it was made for."""
         scene, device = self._context.scene, self._context.frame.device
-        if self._version == scene.version:
+        made_for = self._made_for
+        if made_for == scene.revision:
             return
-        seen_all = self._version == scene.version - 1
         count = scene.triangle_count
         if count == 0:
-            self._bvh, self._version = None, scene.version
+            self._bvh, self._made_for = None, scene.revision
             return
-        rebuild = self._variant == "rebuild" or not seen_all or change == Change.TOPOLOGY or self._worn_out
+        same = made_for is not None and made_for.topology == scene.revision.topology
+        rebuild = self._variant == "rebuild" or not same or self._worn_out
         with self._context.stages.stage("build"):
             self._tree.box = _scene_box(*scene.box())
             wp.launch(
@@ -291,7 +292,7 @@ class MeshBvh:
         if rebuild:
             self._fresh_tests = None
             self._worn_out = False
-        self._version = scene.version  # last: a tree that could not be made is made again
+        self._made_for = scene.revision  # last: a tree that could not be made is made again
 
     def prepare(self, work: Pass) -> None:
         """Records of the light."""

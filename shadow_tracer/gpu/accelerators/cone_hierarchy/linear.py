@@ -13,7 +13,6 @@ from shadow_tracer.gpu.accelerators.ray_keys import RayOrder
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.occluders.corners import Corners
-from shadow_tracer.gpu.occluders.world import Change
 from shadow_tracer.gpu.samples.passes import Pass
 
 # Threads that share the large triangles.
@@ -38,7 +37,7 @@ class LinearHierarchy:
         self._big = wp.empty(capacity, dtype=int, device=context.frame.device)
         self._big_count = wp.zeros(1, dtype=int, device=context.frame.device)
 
-    def update(self, change: Change) -> None:
+    def follow(self) -> None:
         """Nothing is kept of the scene."""
 
     def prepare(self, work: Pass) -> None:

@@ -33,7 +33,6 @@ from shadow_tracer.gpu.exact.records import (
     prepare_block,
 )
 from shadow_tracer.gpu.occluders.clusters import CLUSTER, ClusterBoxes, Clusters, await_made, claim, make_boxes, publish
-from shadow_tracer.gpu.occluders.world import Change
 from shadow_tracer.gpu.samples.passes import Pass
 
 _CLUSTERS = BLOCK // CLUSTER  # of a block of records
@@ -261,10 +260,9 @@ class CandidateRecords:
         self._made = wp.zeros(bounds.max_triangles // BLOCK + bounds.max_lights, dtype=int, device=device)
         self._slices = Slices()
 
-    def update(self, change: Change) -> None:
-        """Take note of what has happened to the scene."""
-        if change != Change.NOTHING:
-            self._boxes.forget()
+    def follow(self) -> None:
+        """The boxes are those of the scene as it is."""
+        self._boxes.follow()
 
     def open(self, light: LightFrame) -> None:
         """Nothing is made yet for this light, unless what was made is still right."""

@@ -23,7 +23,6 @@ from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES
 from shadow_tracer.gpu.occluders.clusters import CLUSTER
 from shadow_tracer.gpu.occluders.corners import Corners
-from shadow_tracer.gpu.occluders.world import Change
 from shadow_tracer.gpu.samples.passes import Pass
 
 # Entries that are gathered on the CPU before they are traced, per place for a tile.
@@ -45,9 +44,9 @@ class PackedGrid:
         self._way: _Wide | _Scalar = (_Wide if wide else _Scalar)(context, self._buffers, self._participants)
         self.recordable, self.keeps_rays = True, wide
 
-    def update(self, change: Change) -> None:
+    def follow(self) -> None:
         """What is kept of the scene is shared."""
-        self._way.update(change)
+        self._way.follow()
 
     def prepare(self, work: Pass) -> None:
         """Records and corners of the lights."""
@@ -119,8 +118,8 @@ class _Wide:
         self._changing = (buffers.tiles.live, buffers.tiles.boxes)
         self._kept = tuple(wp.empty_like(array) for array in self._changing)
 
-    def update(self, change: Change) -> None:
-        self._candidates.update(change)
+    def follow(self) -> None:
+        self._candidates.follow()
 
     def prepare(self, light: LightFrame) -> None:
         self._candidates.open(light)
@@ -214,7 +213,7 @@ class _Scalar:
         self._bins = bins
         self._corners = context.shared.take(Corners, lambda: Corners(context.records))
 
-    def update(self, change: Change) -> None:
+    def follow(self) -> None:
         pass
 
     def prepare(self, light: LightFrame) -> None:

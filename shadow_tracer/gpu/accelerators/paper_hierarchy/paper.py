@@ -36,7 +36,6 @@ from shadow_tracer.gpu.accelerators.participants import Participants
 from shadow_tracer.gpu.accelerators.ray_keys import RayOrder
 from shadow_tracer.gpu.exact.light_space import make_light_space
 from shadow_tracer.gpu.occluders.corners import Corners
-from shadow_tracer.gpu.occluders.world import Change
 from shadow_tracer.gpu.samples.passes import Pass
 
 
@@ -92,7 +91,7 @@ class PaperHierarchy:
         self._triangles.sizes = self._large.sizes
         self._triangles.threshold = self._large.threshold
 
-    def update(self, change: Change) -> None:
+    def follow(self) -> None:
         """Nothing is kept between frames."""
 
     def prepare(self, work: Pass) -> None:

@@ -23,7 +23,6 @@ from shadow_tracer.gpu.exact.decision import NO, YES, filter_pair, ray_magnitude
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import SHADOWED
 from shadow_tracer.gpu.occluders.corners import Corners
-from shadow_tracer.gpu.occluders.world import Change
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.answers import Answers, settle
 
@@ -113,7 +112,7 @@ class SphericalGrid:
         self.rays = TiledRays(context, self._participants, rays_per_tile, cells, threshold)
         self.lists = CellLists(context, self.rays, cells, self.recordable)
 
-    def update(self, change: Change) -> None:
+    def follow(self) -> None:
         """Nothing is kept of the scene."""
 
     def prepare(self, work: Pass) -> None:

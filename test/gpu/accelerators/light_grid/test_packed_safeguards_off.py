@@ -44,7 +44,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "boxes kept when the scene changes": (
         _CANDIDATES,
         "only_what",
-        [(_GRID + "candidates.py", "if change != Change.NOTHING:", "if change == Change.TOPOLOGY:")],
+        [("occluders/clusters.py", "self._made_for != self._scene.revision:", "self._made_for is None:")],
     ),
     "records kept when the light moves": (
         _CANDIDATES,
