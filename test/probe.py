@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from shadow_tracer import ShadowTracer
 
 
@@ -61,6 +63,22 @@ def recordings(tracer: ShadowTracer) -> int:
     graphs: Any = tracer._engine.inside._graphs
     count: int = graphs.recorded()
     return count
+
+
+def uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Grows by the bytes of each array that is copied into the tracer's buffers, empty ones aside."""
+    sizes: list[int] = []
+    inside: Any = tracer._engine.inside
+    upload = inside._frame.upload
+
+    def counted(destination: Any, source: Any, offset: int = 0) -> None:
+        sizes.append(source.nbytes)
+        upload(destination, source, offset)
+
+    for share in [inside, *inside._all_shares()]:
+        frame = share._frame if share is inside else share.frame
+        monkeypatch.setattr(frame, "upload", counted)
+    return sizes
 
 
 def loaded(tracer: ShadowTracer) -> set[Any]:

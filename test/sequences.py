@@ -8,7 +8,7 @@ What a frame must answer is asked of a ``brute_force`` tracer that is made for t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -180,6 +180,7 @@ def _query(rng: Rng, plain: bool) -> tuple[np.ndarray | None, Camera | None, np.
     height = int(rng.choice([1, 2, 15, 48, 100, 150]))
     pose = _pose(rng) if rng.random() < 0.5 else np.eye(4)
     camera = Camera(width, height, 0.8 * max(width, 2), 0.8 * max(width, 2), width / 2, height / 2, pose)
+    camera = replace(camera, rays=_rays(rng.spawn(1)[0], camera))
     depth = np.full((height, width), 8.0, np.float32)
     if rng.random() < 0.7:
         depth = rng.uniform(0.3, 9.0, (height, width)).astype(np.float32)
@@ -187,6 +188,17 @@ def _query(rng: Rng, plain: bool) -> tuple[np.ndarray | None, Camera | None, np.
     if rng.random() < 0.3:
         depth = (1000.0 * np.nan_to_num(depth)).astype(np.uint16)
     return depth, camera, None
+
+
+def _rays(rng: Rng, camera: Camera) -> np.ndarray | None:
+    """For half of the cameras a table: of a barrel distortion, and at times some pixels without a ray."""
+    if rng.random() < 0.5:
+        return None
+    rays = camera.pixel_rays()[..., :2]
+    rays *= 1.0 + rng.uniform(0.0, 0.4) * (rays**2).sum(axis=2, keepdims=True)
+    if rng.random() < 0.5:
+        rays[rng.random(rays.shape[:2]) < 0.1] = np.nan
+    return rays
 
 
 def _lights(rng: Rng, plain: bool) -> tuple[Any, ...]:

@@ -28,7 +28,7 @@ def depth_mesh(depth: Any, camera: Camera, step: int, max_jump: float) -> tuple[
     Corners are the pixels in columns and rows 0, step, 2 step, ...; their vertices are exactly the samples that
     :meth:`ShadowTracer.trace` makes of these pixels. A cell is cut along the diagonal whose ends differ less in depth
     (the one from its upper left corner if both do alike), or along the only one that does not jump. A triangle is left
-    out where one of its corners has no depth, or where one depth is more than ``1 + max_jump`` times another.
+    out where one of its corners has no depth or no ray, or where one depth is more than ``1 + max_jump`` times another.
     Triangles are counter-clockwise seen from the camera.
 
     Args:
@@ -40,16 +40,18 @@ def depth_mesh(depth: Any, camera: Camera, step: int, max_jump: float) -> tuple[
 
     Returns:
         ``vertices`` (V, 3) float64 in the optical frame [m], row by row, ``V = ceil(H / step) * ceil(W / step)``:
-        corners without depth are there too, at the origin, and belong to no triangle; and ``triangles`` (T, 3) int32.
-        Both are read-only.
+        corners without depth or ray are there too, at the origin, and belong to no triangle; and ``triangles`` (T, 3)
+        int32. Both are read-only.
 
     Raises:
         ValueError: an argument is malformed; the message names it.
     """
     image = _checked(depth, camera, step, max_jump)
     z = _corner_depths(image[::step, ::step])
-    across = (np.arange(0, camera.width, step, dtype=np.float64) - camera.cx) / camera.fx
-    down = (np.arange(0, camera.height, step, dtype=np.float64) - camera.cy) / camera.fy
+    across, down = camera.ways(*np.ogrid[: camera.height : step, : camera.width : step])
+    if camera.rays is not None:
+        z[np.isnan(across)] = np.nan  # no ray, no measurement
+        across[np.isnan(across)] = down[np.isnan(down)] = 0.0
     _drop_huge(z, across, down)
     triangles = _triangles(z, max_jump)
     vertices = _vertices(z, across, down)
@@ -88,7 +90,7 @@ def _drop_huge(z: FloatArray, across: FloatArray, down: FloatArray) -> None:
     steepest = max(float(np.abs(across).max()), float(np.abs(down).max()))
     if steepest > LARGEST / float(np.finfo(np.float32).max):
         with np.errstate(over="ignore", invalid="ignore"):
-            z[~((np.abs(across * z) <= LARGEST) & (np.abs(down[:, None] * z) <= LARGEST))] = np.nan
+            z[~((np.abs(across * z) <= LARGEST) & (np.abs(down * z) <= LARGEST))] = np.nan
 
 
 def _triangles(z: FloatArray, max_jump: float) -> IntArray:
@@ -146,6 +148,6 @@ def _vertices(z: FloatArray, across: FloatArray, down: FloatArray) -> FloatArray
     grid = vertices.reshape(*z.shape, 3)
     z[np.isnan(z)] = 0.0
     np.multiply(across, z, out=grid[..., 0])
-    np.multiply(down[:, None], z, out=grid[..., 1])
+    np.multiply(down, z, out=grid[..., 1])
     grid[..., 2] = z
     return vertices

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import data
 import numpy as np
@@ -25,7 +26,8 @@ def slow(depth: np.ndarray, camera: Camera, step: int, max_jump: float) -> tuple
     with np.errstate(invalid="ignore"):
         samples = camera.unproject(metres)[::step, ::step].reshape(-1, 3)
     z = [float(value) for value in metres[::step, ::step].ravel()]
-    valid = [math.isfinite(value) and value > 0.0 for value in z]
+    rays = np.isfinite(camera.pixel_rays()[::step, ::step]).all(axis=2).ravel()
+    valid = [math.isfinite(value) and value > 0.0 and ray for value, ray in zip(z, rays, strict=True)]
     found = set()
 
     def near(*corners: int) -> bool:
@@ -78,12 +80,17 @@ def random_depth(rng: np.random.Generator, dtype: type, shape: tuple[int, int]) 
 
 
 @BOTH
+@pytest.mark.parametrize("tabled", [False, True])
 @pytest.mark.parametrize("step", [1, 2, 3, 7, 16, 100])
-def test_equals_a_slow_loop(dtype: type, step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_equals_a_slow_loop(dtype: type, step: int, tabled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng([step, dtype is np.uint16])
     for band, shape in ((1, (48, 64)), (200, (48, 64)), (10**6, (48, 64)), (100, (1, 64)), (100, (48, 1)), (9, (2, 2))):
         monkeypatch.setattr(module, "_BAND", band)
         camera = Camera(shape[1], shape[0], 60.0, 61.0, 31.3, 23.8)
+        if tabled:
+            rays = camera.pixel_rays()[..., :2] + rng.normal(0.0, 0.01, (*shape, 2))
+            rays[rng.random(shape) < 0.05] = np.nan
+            camera = replace(camera, rays=rays)
         depth = random_depth(rng, dtype, shape)
         max_jump = float(rng.choice([0.01, 0.05, 0.5, 1e6]))
         vertices, triangles = depth_mesh(depth, camera, step, max_jump)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_anchor
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.checks import LARGEST, FloatArray
 
 
 def depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:
@@ -18,14 +18,18 @@ def depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], p
     z = depth[rows, columns].astype(np.float64)
     if depth.dtype == np.uint16:
         z /= 1000.0
-    seen = np.isfinite(z) & (z > 0.0)
+    x, y = camera.ways(rows, columns)
+    seen = np.isfinite(z) & (z > 0.0) & np.isfinite(x)
     if not seen.any():
         return previous or make_anchor(camera.position, 1.0, None)
     # A few samples at the end of the world must not make all others small: float32 could not tell them apart. A
     # background is no outlier: it has many.
     seen &= z <= 30.0 * float(np.quantile(z[seen], 0.98))
-    z, u, v = z[seen], columns[seen], rows[seen]
-    local = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z])
+    z = z[seen]
+    local = np.stack([x[seen] * z, y[seen] * z, z])
+    local = local[:, (np.abs(local) <= LARGEST).all(axis=0)]  # what lies farther is no sample
+    if local.size == 0:
+        return previous or make_anchor(camera.position, 1.0, None)
     low, high = local.min(axis=1), local.max(axis=1)
     center = 0.5 * low + 0.5 * high
     world = camera.camera_to_world[:3, :3] @ center + camera.camera_to_world[:3, 3]

@@ -13,7 +13,7 @@ import warp as wp
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.samples.pinhole import make_pinhole
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
-from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.camera import Camera, RayTable
 from shadow_tracer.scene.checks import FloatArray
 
 Parts = list[tuple[FrameBuffers, int, int]]
@@ -31,6 +31,7 @@ class Samples:
         self._compare = compare
         self._depth: tuple[np.dtype[Any], Parts] | None = None  # format of the image in the buffers, and where
         self._source: tuple[Hashable, Parts] | None = None  # what the samples in the buffers were made of
+        self._table: RayTable | None = None  # what the buffers' ray table holds
 
     def forget(self) -> None:
         """Others have written where they were."""
@@ -49,6 +50,10 @@ class Samples:
         """A depth image, (H, W) float32 metres or uint16 millimetres, C order, of which samples are to be made."""
         self.forget()
         flat = depth.reshape(-1)
+        if camera.rays is not None and camera.rays != self._table:
+            self._table = None
+            frames[0].upload(frames[0].ray_table, camera.rays.xy.reshape(-1, 2))
+            self._table = camera.rays
         for frame in frames:
             frame.renew()
             frame.set_camera(make_pinhole(camera, bias, frame.first))
@@ -103,7 +108,8 @@ def depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
 def _look(depth: np.ndarray, camera: Camera, bias: tuple[float, float]) -> Hashable:
     """What samples depend on beside the measurements and their number."""
     pose = camera.camera_to_world.tobytes()
-    return camera.width, camera.fx, camera.fy, camera.cx, camera.cy, pose, bias, depth.dtype.str
+    optics = camera.width, camera.fx, camera.fy, camera.cx, camera.cy, camera.rays
+    return *optics, pose, bias, depth.dtype.str
 
 
 def _parts_of(frames: Sequence[FrameBuffers]) -> Parts:

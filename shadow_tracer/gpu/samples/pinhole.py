@@ -14,6 +14,7 @@ class Pinhole:
 
     width: wp.int32
     first: wp.int32  # pixel of the image that the buffers begin with
+    tabled: wp.int32  # whether rays come from the table (FrameBuffers.ray_table), and not from the four below
     fx: wp.float64
     fy: wp.float64
     cx: wp.float64
@@ -28,7 +29,7 @@ class Pinhole:
 def make_pinhole(camera: Camera, bias: tuple[float, float], first: int = 0) -> Pinhole:
     """From a camera and the constant [m] and quadratic [1/m] part of the bias, for the pixels from ``first`` on."""
     pinhole = Pinhole()
-    pinhole.width, pinhole.first = camera.width, first
+    pinhole.width, pinhole.first, pinhole.tabled = camera.width, first, camera.rays is not None
     pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy = camera.fx, camera.fy, camera.cx, camera.cy
     rows = [wp.vec4d(*row) for row in camera.camera_to_world[:3]]
     pinhole.row0, pinhole.row1, pinhole.row2 = rows

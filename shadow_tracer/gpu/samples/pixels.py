@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth image to samples: one sample per pixel, in the world, float64, in image order.
 
-A pixel is valid iff its depth is finite and positive (REP 117, REP 118) and its sample no farther from the origin than
-coordinates may be: NaN, infinity, zero and negative values, and 0 in millimetre images, never become samples. The
-operations are those of ``Camera.unproject`` in the same order without contraction, so a point computed there is the
-sample traced here, bit for bit.
+A pixel is valid iff its depth is finite and positive (REP 117, REP 118), it has a ray, and its sample is no farther
+from the origin than coordinates may be: NaN, infinity, zero and negative values, and 0 in millimetre images, never
+become samples. The operations are those of ``Camera.unproject`` in the same order without contraction, so a point
+computed there is the sample traced here, bit for bit.
 
 CUDA takes one pixel per thread (``unproject``). On the CPU Warp's loops are scalar, so there a thread takes a block of
 pixels and the compiler puts the loop over them into vector registers (``unproject_block``).
@@ -27,19 +27,22 @@ from shadow_tracer.scene.checks import LARGEST
 @wp.func_native(
     ARITHMETIC
     + r"""
-    double x = mul((column - camera.cx) / camera.fx, z);
-    double y = mul((row - camera.cy) / camera.fy, z);
+    const int pixel = camera.first + i, row = pixel / camera.width, column = pixel - row * camera.width;
+    const double across = camera.tabled ? (double)table.data[pixel][0] : (column - camera.cx) / camera.fx;
+    const double down = camera.tabled ? (double)table.data[pixel][1] : (row - camera.cy) / camera.fy;
+    const double x = mul(across, z), y = mul(down, z);
     return wp::vec4d(x, y, z, add(camera.bias_constant, mul(camera.bias_quadratic, mul(z, z))));
     """
 )
-def pixel_sample(camera: Pinhole, column: wp.float64, row: wp.float64, z: wp.float64) -> wp.vec4d:
-    """Sample of the pixel at ``column``, ``row`` with depth ``z`` [m], in the optical frame."""
+def pixel_sample(camera: Pinhole, table: wp.array(dtype=wp.vec2), i: int, z: wp.float64) -> wp.vec4d:
+    """Sample of pixel ``i`` of the buffers with depth ``z`` [m], in the optical frame."""
     ...
 
 
 @wp.kernel(enable_backward=False)
 def unproject(
     cameras: wp.array(dtype=Pinhole),
+    table: wp.array(dtype=wp.vec2),
     units_per_metre: wp.float64,
     depth: wp.array(dtype=Any),
     samples: wp.array(dtype=wp.vec4d),
@@ -52,9 +55,7 @@ def unproject(
     if not (raw > wp.float64(0.0)) or not wp.isfinite(raw):
         valid[i] = wp.uint8(0)
         return
-    pixel = camera.first + i
-    row = pixel // camera.width
-    local = pixel_sample(camera, wp.float64(pixel - row * camera.width), wp.float64(row), raw / units_per_metre)
+    local = pixel_sample(camera, table, i, raw / units_per_metre)
     p = transform_point(camera.row0, camera.row1, camera.row2, wp.vec3d(local[0], local[1], local[2]))
     largest = wp.float64(LARGEST)
     samples[i] = wp.vec4d(p[0], p[1], p[2], wp.min(local[3], largest))
@@ -75,6 +76,7 @@ _STRETCHES = (
     ARITHMETIC
     + r"""
 #if !defined(__CUDA_ARCH__)
+    const bool tabled = camera.tabled;
     const double fx = camera.fx, cx = camera.cx, constant = camera.bias_constant, quadratic = camera.bias_quadratic;
     const double a0 = camera.row0[0], a1 = camera.row0[1], a2 = camera.row0[2], a3 = camera.row0[3];
     const double b0 = camera.row1[0], b1 = camera.row1[1], b2 = camera.row1[2], b3 = camera.row1[3];
@@ -84,7 +86,8 @@ _STRETCHES = (
     for (int i = first; i < end;) {
         const int pixel = camera.first + i, row = pixel / camera.width, column = pixel - row * camera.width;
         const int n = camera.width - column < end - i ? camera.width - column : end - i;
-        const double down = (row - camera.cy) / camera.fy;
+        const double level = (row - camera.cy) / camera.fy;
+        const wp::vec2* __restrict__ ray = table.data + pixel;
         const auto* __restrict__ raw = depth.data + i;
         Four* __restrict__ sample = (Four*)(samples.data + i);
         wp::uint8* __restrict__ good = valid.data + i;
@@ -92,7 +95,9 @@ _STRETCHES = (
             const double measured = raw[j];
             const bool is = measured > 0.0 && measured <= 1.7976931348623157e308;
             const double z = is ? measured / units_per_metre : 0.0;
-            const double x = mul(((double)(column + j) - cx) / fx, z), y = mul(down, z);
+            const double across = tabled ? (double)ray[j][0] : ((double)(column + j) - cx) / fx;
+            const double down = tabled ? (double)ray[j][1] : level;
+            const double x = mul(across, z), y = mul(down, z);
             const double px = add(add(add(mul(a0, x), mul(a1, y)), mul(a2, z)), a3);
             const double py = add(add(add(mul(b0, x), mul(b1, y)), mul(b2, z)), b3);
             const double pz = add(add(add(mul(c0, x), mul(c1, y)), mul(c2, z)), c3);
@@ -115,6 +120,7 @@ def unproject_block(
     first: int,
     count: int,
     camera: Pinhole,
+    table: wp.array(dtype=wp.vec2),
     units_per_metre: wp.float64,
     largest: wp.float64,
     depth: wp.array(dtype=wp.float32),
@@ -130,6 +136,7 @@ def unproject_block(  # noqa: F811, an overload
     first: int,
     count: int,
     camera: Pinhole,
+    table: wp.array(dtype=wp.vec2),
     units_per_metre: wp.float64,
     largest: wp.float64,
     depth: wp.array(dtype=wp.uint16),
@@ -144,13 +151,14 @@ def unproject_block(  # noqa: F811, an overload
 def unproject_blocks(
     count: int,
     cameras: wp.array(dtype=Pinhole),
+    table: wp.array(dtype=wp.vec2),
     units_per_metre: wp.float64,
     depth: wp.array(dtype=Any),
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
 ):
     first = wp.tid() * _BLOCK
-    unproject_block(first, count, cameras[0], units_per_metre, wp.float64(LARGEST), depth, samples, valid)
+    unproject_block(first, count, cameras[0], table, units_per_metre, wp.float64(LARGEST), depth, samples, valid)
 
 
 wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.float32)})
@@ -164,7 +172,7 @@ def unproject_image(depth: wp.array, buffers: FrameBuffers) -> None:
 
     def prepare() -> tuple[int, list[Any]]:
         units = wp.float64(1.0 if depth.dtype == wp.float32 else 1000.0)
-        inputs = [buffers.pinhole, units, depth, buffers.samples, buffers.valid]
+        inputs = [buffers.pinhole, buffers.ray_table, units, depth, buffers.samples, buffers.valid]
         return (-(-buffers.count // _BLOCK), [buffers.count, *inputs]) if wide else (buffers.count, inputs)
 
     buffers.launch(unproject_blocks if wide else unproject, (depth.ptr, buffers.count), prepare)

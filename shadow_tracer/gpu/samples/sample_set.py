@@ -74,6 +74,8 @@ class FrameBuffers:
         self.samples = take("samples", rays, wp.vec4d)
         self.valid = take("valid", rays, wp.uint8)
         self.rays = take("rays", rays, wp.vec4)
+        # Of the whole image, also for shares: it stays when the cuts between them move.
+        self.ray_table: wp.array = whole.ray_table if whole else wp.empty(bounds.max_rays, dtype=wp.vec2, device=device)
         self._pinhole = HostValues(Pinhole, 1, device)
         self._light_frames = HostValues(LightFrame, bounds.max_lights, device)
         self.pinhole = self._pinhole.array

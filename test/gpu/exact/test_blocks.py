@@ -18,8 +18,8 @@ from shadow_tracer.gpu.exact.light_frame import PENDING, Anchor, make_light_fram
 from shadow_tracer.gpu.exact.records import FILTER_FACTOR, prepare_triangles  # noqa: E402
 from shadow_tracer.gpu.occluders.seen import prepare  # noqa: E402
 from shadow_tracer.gpu.occluders.world import SceneBuffers  # noqa: E402
-from shadow_tracer.gpu.samples import pixels  # noqa: E402
-from shadow_tracer.gpu.samples import rays as projection  # noqa: E402
+from shadow_tracer.gpu.samples.held import pixels  # noqa: E402
+from shadow_tracer.gpu.samples.held import rays as projection  # noqa: E402
 from shadow_tracer.gpu.samples.pinhole import Pinhole  # noqa: E402
 from shadow_tracer.gpu.samples.rays import FIRST_TIME, ONCE_MORE, PENDING_RAYS  # noqa: E402
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers  # noqa: E402
@@ -72,6 +72,7 @@ def _pinhole(rng: np.random.Generator, width: int, focal: float, bias: tuple[flo
     return pinhole
 
 
+@pytest.mark.parametrize("tabled", [False, True])
 @pytest.mark.parametrize("make", [_metres, _millimetres])
 @pytest.mark.parametrize(
     ("width", "count"), [(1, 1), (1, 1500), (7, 21), (64, 3072), (1023, 5115), (1025, 5125), (3000, 6000)]
@@ -80,18 +81,22 @@ def _pinhole(rng: np.random.Generator, width: int, focal: float, bias: tuple[flo
     ("focal", "bias"), [(500.0, (0.01, 0.002)), (0.3, (0.0, 0.0)), (1e-13, (1.0, 1e50)), (1e-280, (0.0, 1.0))]
 )
 def test_samples(
-    frame: FrameBuffers, make: Any, width: int, count: int, focal: float, bias: tuple[float, float]
+    frame: FrameBuffers, make: Any, width: int, count: int, focal: float, bias: tuple[float, float], tabled: bool
 ) -> None:
     rng = np.random.default_rng(width + count)
     depth = make(rng, count)
     pinhole = _pinhole(rng, width, focal, bias)
+    pinhole.tabled = tabled
+    frame.ray_table.numpy()[:count] = rng.uniform(-2.0, 2.0, (count, 2)).astype(np.float32)
+    frame.ray_table.numpy()[:count:7] = np.nan
     metres = depth.dtype == np.float32
     array = frame.depth_metres if metres else frame.depth_millimetres
     array.numpy()[:count] = depth
     frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
     frame.valid.fill_(9)
     frame.set_camera(pinhole)
-    inputs = [frame.pinhole, wp.float64(1.0 if metres else 1000.0), array, frame.samples, frame.valid]
+    units = wp.float64(1.0 if metres else 1000.0)
+    inputs = [frame.pinhole, frame.ray_table, units, array, frame.samples, frame.valid]
     wp.launch(pixels.unproject, dim=count, inputs=inputs, device="cpu")
     samples, valid = frame.samples.numpy().copy(), frame.valid.numpy().copy()
     frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
