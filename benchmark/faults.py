@@ -47,11 +47,13 @@ def _tracer() -> ShadowTracer:
     return ShadowTracer(device="cpu", bounds=Bounds(max_triangles=4096, max_rays=128 * 96, queue_capacity=16384))
 
 
-def expected(vertices: np.ndarray, triangles: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray:
+def expected(
+    vertices: np.ndarray, triangles: np.ndarray, depth: np.ndarray | None = None, camera: Camera | None = None
+) -> np.ndarray:
     """The library's mask for a node without parameters but SHOW_UNKNOWN."""
     depth = wall() if depth is None else depth
     height, width = depth.shape
-    camera = Camera(width, height, FOCAL, FOCAL, (width - 1) / 2, (height - 1) / 2)
+    camera = camera or Camera(width, height, FOCAL, FOCAL, (width - 1) / 2, (height - 1) / 2)
     tracer = _tracer()
     tracer.scene.put("mesh", vertices, triangles)
     frame = tracer.trace(depth, camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=Bias(0.02, 0.003))
@@ -261,6 +263,34 @@ def mesh_larger_than_bounds() -> str:
         trace_until(rig, wall(), expected(*other), "the next good mesh")
         assert not has_faults(rig)
     return "51 and 5000 triangles refused at a bound of 50, the last mesh stays"
+
+
+def lens_misread() -> str:
+    """camera_info with a distortion that cannot be undone: unknown masks and a reason, until one that can comes."""
+    mesh, model, d = patches(50), "equidistant", [0.3, 0.1, -0.05, 0.02]
+    height, width = wall().shape
+    lens = Camera.distorted(width, height, FOCAL, FOCAL, (width - 1) / 2, (height - 1) / 2, model, d)
+    mask = expected(*mesh, camera=lens)
+    assert (mask != expected(*mesh)).any()
+    with node_and_friend({"distortion": "apply"}) as (_, rig):
+        rig.mesh.publish(encode_mesh(*mesh))
+        trace_until(rig, wall(), expected(*mesh), "no distortion")
+        for name, values in (("fisheye", d), (model, d[:3]), (model, [float("nan")] * 4), (model, [-9.0, 0, 0, 0])):
+            assert (_through(rig, name, values) == UNKNOWN).all()
+            rig.wait_status(DEPTH, ERROR, "camera_info.d")
+            np.testing.assert_array_equal(_through(rig, model, d), mask)
+        assert not has_faults(rig)
+    return "four that cannot be undone refused by name, and the next good one has the library's mask"
+
+
+def _through(rig: Rig, model: str, d: Sequence[float]) -> np.ndarray:
+    """The mask of a wall seen through a lens."""
+    stamp, (height, width) = rig.next_stamp(), wall().shape
+    info = info_msg(width, height, stamp)
+    info.distortion_model, info.d = model, d
+    rig.info.publish(info)
+    rig.depth.publish(rig.depth_msg(wall(), stamp))
+    return rig.mask_of(stamp)
 
 
 def bounds_of_one() -> str:
@@ -506,6 +536,7 @@ SCENARIOS: dict[str, Callable[..., str]] = {
         stamps_jump_back,
         sim_time_jumps_back,
         mesh_larger_than_bounds,
+        lens_misread,
         bounds_of_one,
         damaged_compressed_depth,
         two_nodes,

@@ -22,6 +22,7 @@ from sensor_msgs.msg import Image, PointCloud2, PointField
 
 from shadow_tracer.ros.cdr import encode_mesh
 from shadow_tracer.ros.cdr_markers import MarkerMessage, encode_marker, encode_markers
+from shadow_tracer.scene.distortion import COUNTS as COUNTS_OF
 
 COUNTS = (0, 1, 2, 3, 255, 2**16, 2**24, 2**28, 2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1)
 NUMBERS = (float("nan"), float("inf"), -float("inf"), 0.0, -0.0, 5e-324, 1e-300, 1.7e308, -1.7e308, 3.4e38, 1e9, -1.0)
@@ -280,6 +281,22 @@ def _info_make(rng: random.Random, number: int) -> Message:
     return Message(info)
 
 
+def _lens_make(rng: random.Random, number: int) -> Message:
+    """camera_info of a raw image: K and D count, P does not."""
+    if number % 3 == 0:
+        message = _info_make(rng, number)
+        return Message(message.payload, message.bad and number % 8 != 3)
+    info = info_msg(SMALL_WIDTH, SMALL_HEIGHT, _stamp(number), frame=SENDER)
+    info.distortion_model = rng.choice((*COUNTS_OF, rng.choice(TEXTS)))
+    counts = COUNTS_OF.get(info.distortion_model, ())
+    count = rng.choice((*counts, rng.choice((0, 1, 4, 5, 8, 12, 14, 1000))))
+    numbers = rng.choice((NUMBERS, (0.0, 0.01, -0.02), (0.3, -0.3, 2.0, -2.0), (1e9, -1e9, 1e-300)))
+    info.d = [rng.choice(numbers) for _ in range(count)]
+    nothing = info.distortion_model != "equidistant" and not any(info.d)
+    wrong = count not in counts or not np.isfinite(info.d).all()
+    return Message(info, count > 0 and wrong and not nothing)
+
+
 # Meshes
 
 
@@ -483,6 +500,8 @@ INPUTS = (
           parameters={"camera_info_policy": "latest", "depth_image_transport": "compressedDepth"}),
     Input("camera_info", "depth/camera_info", _info_good, _info_make, with_image=True,
           parameters={"camera_info_policy": "exact"}),
+    Input("lens", "depth/camera_info", _info_good, _lens_make, with_image=True,
+          parameters={"camera_info_policy": "exact", "distortion": "apply"}),
     Input("mesh", "mesh", _mesh_good, _mesh_make),
     Input("mesh_marker", "mesh_marker", _marker_good, _marker_make),
     Input("mesh_markers", "mesh_markers", _markers_good, _markers_make),

@@ -74,7 +74,16 @@ KNOWN: dict[str, Any] = {
     "occluders": "mesh",
     "front_face_culling": False,
     "mask.unknown_value": 77,
+    "distortion": "ignore",
 }
+# What camera_info says of the lens: nothing, something, and something that is refused.
+LENSES = (
+    ("plumb_bob", [0.0] * 5),
+    ("plumb_bob", [-0.2, 0.05, 0.01, -0.002, 0.003]),
+    ("equidistant", [0.3, 0.1, -0.05, 0.02]),
+    ("plumb_bob", [-3.0, 0.0, 0.0, 0.0]),
+    ("fisheye", [0.1] * 4),
+)
 
 
 class Soak:
@@ -199,6 +208,7 @@ class Soak:
             "depth_image_transport": rng.choice(("raw", "compressedDepth")),
             "depth.unit": rng.choice((0.001, 0.0011)),
             "camera_info_policy": rng.choice(("auto", "exact", "latest")),
+            "distortion": rng.choice(("auto", "apply", "ignore")),
         }
         chosen = {name: choices[name] for name in rng.sample(sorted(choices), rng.randrange(1, 4))}
         if "light_names" in chosen:
@@ -248,7 +258,9 @@ class Soak:
         """Send a depth image; its mask must come."""
         stamp = self.rig.next_stamp()
         height, width = depth.shape
-        self.rig.info.publish(info_msg(width, height, stamp, FOCAL * width / 64))
+        info = info_msg(width, height, stamp, FOCAL * width / 64)
+        info.distortion_model, info.d = self.rng.choice(LENSES)
+        self.rig.info.publish(info)
         self.rig.depth.publish(self.rig.depth_msg(depth, stamp))
         mask = self.rig.mask_of(stamp, timeout=60.0)
         self.frames += 1

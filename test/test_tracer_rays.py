@@ -13,7 +13,8 @@ import probe
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, State
-from shadow_tracer.gpu import cuts, frame_tracer
+from shadow_tracer.gpu.engine import cuts
+from shadow_tracer.gpu.engine import frame as frame_tracer
 
 _WIDTH, _HEIGHT = 48, 36
 _AZURE = (5.7, 3.6, 1e-4, -5e-5, 0.19, 6.0, 5.4, 1.0)

@@ -156,7 +156,7 @@ class Player:
             return
         content = self._recording.decode(message)
         if name == "depth":
-            self._depth(content, message.time)
+            self._depth(content, message.topic, message.time)
         elif name == "info":
             if self._settings.camera_info_policy == "latest":
                 self._queue.put_info(content)
@@ -168,7 +168,7 @@ class Player:
             pose = LightPose(content.header.frame_id, pose_matrix(content.pose, "pose"))
             self._lighting.move(name.removeprefix("light "), pose)
 
-    def _depth(self, image: Any, now_ns: int) -> None:
+    def _depth(self, image: Any, topic: str, now_ns: int) -> None:
         start = time.perf_counter()
         depth, stamp = decode_depth(image, self._settings.depth_unit), stamp_ns(image.header.stamp)
         decoding = (time.perf_counter() - start) * 1e3
@@ -181,7 +181,7 @@ class Player:
         self._camera_frame = self._settings.camera_frame or image.header.frame_id
         if self._settings.camera_info_policy != "latest":
             self._offer_infos(stamp)
-        self._queue.put(WaitingFrame(image, depth, stamp, _NOW, decoding))
+        self._queue.put(WaitingFrame(image, depth, stamp, _NOW, decoding, topic=topic))
         answer = self._processor.step(self._settings, self._tracer, _NOW, now_ns, patient=False)
         if answer is None:
             raise RuntimeError("a frame waits though nothing can come")

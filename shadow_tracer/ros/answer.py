@@ -110,6 +110,8 @@ class Answer:
     def _measured(self) -> npt.NDArray[np.bool_]:
         depth = self.frame.depth
         measured: npt.NDArray[np.bool_] = np.isfinite(depth) & (depth > 0)
+        if self.optics is not None and self.optics.rays is not None:
+            measured &= self.optics.rays.known
         return measured
 
 

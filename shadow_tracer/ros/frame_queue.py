@@ -28,6 +28,7 @@ class WaitingFrame:
         arrived: steady time of arrival [s].
         decoding: time decoding took [ms].
         parts: the meshes that it is to be traced with; None is the newest there are then.
+        topic: what it came on.
     """
 
     image: Image
@@ -36,6 +37,7 @@ class WaitingFrame:
     arrived: float
     decoding: float = 0.0
     parts: Mapping[str, Part] | None = None
+    topic: str = ""
 
 
 class FrameQueue:

@@ -81,6 +81,7 @@ class Health:
     _overflow: Complaint = field(default_factory=Complaint)
     _missing: Missing | None = None
     _warning: str = ""
+    _model: str = ""
     _dropped: int = 0
     _lost_images: int = 0
     _lost: Complaint = field(default_factory=Complaint)
@@ -98,6 +99,7 @@ class Health:
         """
         self._missing = answer.missing
         self._warning = answer.warning
+        self._model = answer.optics.model if answer.optics else ""
         if answer.missing is not None:
             self.unknown += 1
             return
@@ -121,7 +123,7 @@ class Health:
             stamp: the same as a message.
         """
         verdicts = {
-            DEPTH: judge_depth(self.inputs, settings, self._warning, self._busy.mean(), now),
+            DEPTH: judge_depth(self.inputs, settings, self._warning, self._model, self._busy.mean(), now),
             MESH: judge_mesh(self.inputs, settings, now, now_ns),
             TRANSFORMS: self._judge_transforms(settings, now),
             DEVICE: self._judge_device(doing),

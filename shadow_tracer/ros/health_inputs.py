@@ -9,7 +9,6 @@ from shadow_tracer.ros.diagnostics import ERROR, OK, WARN
 from shadow_tracer.ros.installed import config_file
 from shadow_tracer.ros.mesh_sources import TOPICS
 from shadow_tracer.ros.mesh_store import FILES
-from shadow_tracer.ros.messages import DISTORTED
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.transport import LARGE
 
@@ -22,11 +21,12 @@ _MUCH = 0.1  # share of images that the transport may lose before it is said
 Verdict = tuple[bytes, str, dict[str, Any]]
 
 
-def judge_depth(inputs: Inputs, settings: Settings, warning: str, busy_ms: float, now: float) -> Verdict:
+def judge_depth(inputs: Inputs, settings: Settings, warning: str, model: str, busy_ms: float, now: float) -> Verdict:
     """The status ``input depth``.
 
     Args:
         warning: what is doubtful about the last frame that was traced.
+        model: distortion model that its rays came from, "" if they were those of a pinhole.
         busy_ms: mean time the node works on a frame [ms].
         now: steady time [s].
     """
@@ -39,6 +39,7 @@ def judge_depth(inputs: Inputs, settings: Settings, warning: str, busy_ms: float
         "rate [Hz]": f"{rate:.1f}",
         "age [s]": f"{age:.2f}",
         "format": inputs.depth_format,
+        "distortion": model or "none",
         "received": depth.count,
         "refused": inputs.depth_refused.count,
         "last refusal": inputs.depth_refused.text or "-",
@@ -59,8 +60,7 @@ def judge_depth(inputs: Inputs, settings: Settings, warning: str, busy_ms: float
         return WARN, f"no depth image for {age:.0f} s on {topic}; {hint}", values
     if lost > _MUCH:
         return WARN, _loss(inputs, lost, sent), values
-    # Drivers send a rectified image with the distortion of the raw one beside it: by its name it is rectified.
-    if warning and not (warning.startswith(DISTORTED) and "rect" in topic.rpartition("/")[2]):
+    if warning:
         return WARN, warning, values
     return OK, f"{inputs.depth_format} at {rate:.1f} Hz", values
 

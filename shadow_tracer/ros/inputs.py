@@ -207,7 +207,8 @@ class Inputs:
         self.camera_frame = self._settings().camera_frame or msg.header.frame_id
         # Frames that wait in line were taken before the meshes that come meanwhile.
         parts = self.meshes.store.snapshot() if self.queue.every else None
-        self.queue.put(WaitingFrame(image, depth, stamp, now, (time.perf_counter() - start) * 1e3, parts))
+        decoding, topic = (time.perf_counter() - start) * 1e3, self.topic("depth")
+        self.queue.put(WaitingFrame(image, depth, stamp, now, decoding, parts, topic))
         self._work()
 
     def _on_info(self, msg: CameraInfo) -> None:

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from shadow_tracer import Camera
 from shadow_tracer.ros.settings import FloatArray
+from shadow_tracer.scene.camera import RayTable
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import Pose, PoseStamped
@@ -28,6 +29,9 @@ DEPTH_ENCODINGS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 LARGEST_SIDE = 2**16
 MILLIMETRE = 0.001  # [m], a step of 16UC1 and mono16 by REP 118
 _FOCAL_RANGE = (1e-3, 1e7)  # [px]
+DISTORTION = ("auto", "apply", "ignore")
+_Optics = tuple[int, int, float, float, float, float]
+_RECTIFIED = "set distortion to ignore if the image is rectified, else rectify it or correct its driver"
 
 
 class MessageError(ValueError):
@@ -88,7 +92,11 @@ def _metres(unit: float) -> npt.NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Pinhole intrinsics of a rectified image [px]; ``warning`` tells what is doubtful about them, "" if nothing."""
+    """Intrinsics of an image [px]; ``warning`` tells what is doubtful about them, "" if nothing.
+
+    ``rays`` are those of the pixels of a distorted image, None if they are those of a pinhole; ``model`` is the
+    distortion model they come from, or "".
+    """
 
     width: int
     height: int
@@ -97,30 +105,51 @@ class Intrinsics:
     cx: float
     cy: float
     warning: str = ""
+    rays: RayTable | None = None
+    model: str = ""
 
     def camera(self, camera_to_world: FloatArray) -> Camera:
         """The camera at a pose, (4, 4)."""
-        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, camera_to_world)
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, camera_to_world, self.rays)
 
 
-def intrinsics(info: CameraInfo, width: int, height: int) -> Intrinsics:
-    """Intrinsics for a rectified depth image of this size: from P where P[0] is not 0, else from K.
+def is_raw(info: CameraInfo, topic: str, distortion: str) -> bool:
+    """Whether a depth image is as the lens has distorted it, and not rectified.
+
+    Args:
+        topic: what it came on. ROS calls rectified images image_rect, image_rect_raw and the like, and sends the
+            distortion of the raw image with them.
+        distortion: one of ``DISTORTION``; ``auto``: if there is distortion and the topic's name does not say rect.
+    """
+    if distortion != "auto":
+        return distortion == "apply"
+    words = topic.removesuffix("/compressedDepth").rpartition("/")[2].split("_")
+    return any(value != 0.0 for value in info.d) and not any(word.startswith("rect") for word in words)
+
+
+def intrinsics(info: CameraInfo, width: int, height: int, raw: bool = False) -> Intrinsics:
+    """Intrinsics for a depth image of this size. Those of a rectified one come from P where P[0] is not 0, else from K;
+    those of a ``raw`` one from K and D.
 
     P and K are of the full resolution. A region of interest shifts them and binning scales them, as the camera model of
     ``image_geometry`` does: (c - offset) / binning, f / binning.
 
     Raises:
-        MessageError: uncalibrated, not finite, focal length not positive, another image size.
+        MessageError: uncalibrated, not finite, focal length not positive, another image size; a distortion that cannot
+            be undone.
     """
     k = [float(value) for value in info.k]
     p = [float(value) for value in info.p]
+    if raw and k[0] == 0.0 and p[0] != 0.0:
+        raise MessageError(f"camera_info.k: K[0] is 0, and a raw image needs K; {_RECTIFIED}")
     if p[0] == 0.0 and k[0] == 0.0:
         raise MessageError(
             "camera_info.p, k: P[0] and K[0] are 0, the camera is uncalibrated; calibrate it, or set P or K in the "
             "driver"
         )
-    fx, fy, cx, cy = [p[0], p[5], p[2], p[6]] if p[0] != 0.0 else [k[0], k[4], k[2], k[5]]
-    field = "camera_info.p" if p[0] != 0.0 else "camera_info.k"
+    of_p = p[0] != 0.0 and not raw
+    fx, fy, cx, cy = [p[0], p[5], p[2], p[6]] if of_p else [k[0], k[4], k[2], k[5]]
+    field = "camera_info.p" if of_p else "camera_info.k"
     (left, top), (across, down), doubt = _reduction(info, width, height)
     values = [fx / across, fy / down, (cx - left) / across, (cy - top) / down]
     fx, fy, cx, cy = values
@@ -130,19 +159,29 @@ def intrinsics(info: CameraInfo, width: int, height: int) -> Intrinsics:
         raise MessageError(
             f"{field}: expected fx, fy from {low:g} to {high:g} and cx, cy within +-{high:g} pixels, got {values}"
         )
-    return Intrinsics(width, height, fx, fy, cx, cy, doubt or _distortion(info))
+    rays = _rays(info, (width, height, fx, fy, cx, cy)) if raw else None
+    return Intrinsics(width, height, fx, fy, cx, cy, doubt, rays, info.distortion_model if rays is not None else "")
 
 
-DISTORTED = "camera_info.d: the distortion is not zero"
+def _rays(info: CameraInfo, optics: _Optics) -> RayTable | None:
+    # D is of the plane z = 1 and does not know of pixels: with the K of the cut or binned image it is right there too.
+    d = tuple(float(value) for value in info.d)
+    if not d or (info.distortion_model != "equidistant" and not any(d)):
+        return None
+    found = _ray_table(info.distortion_model, d, optics)
+    if isinstance(found, str):
+        raise MessageError(f"camera_info.{found}")
+    return found
 
 
-def _distortion(info: CameraInfo) -> str:
-    if not any(value != 0.0 for value in info.d):
-        return ""
-    return (
-        f"{DISTORTED}; the depth image must be rectified (image_proc RectifyNode), otherwise masks are shifted towards "
-        "the corners"
-    )
+# Distortion that cannot be undone is kept as a text: it takes as long to find out.
+@lru_cache(maxsize=4)
+def _ray_table(model: str, d: tuple[float, ...], optics: _Optics) -> RayTable | str | None:
+    try:
+        rays: RayTable | None = Camera.distorted(*optics, model, d).rays
+        return rays
+    except ValueError as error:
+        return str(error) if "; " in str(error) else f"{error}; {_RECTIFIED}"
 
 
 def _reduction(info: CameraInfo, width: int, height: int) -> tuple[tuple[int, int], tuple[int, int], str]:

@@ -14,7 +14,7 @@ from typing import Any
 
 from shadow_tracer import Bounds, available_pipelines
 from shadow_tracer.ros.camera_infos import POLICIES
-from shadow_tracer.ros.messages import MILLIMETRE
+from shadow_tracer.ros.messages import DISTORTION, MILLIMETRE
 from shadow_tracer.ros.parameter_rows import (
     BOOL,
     DOUBLE,
@@ -120,6 +120,10 @@ PARAMETERS: tuple[Parameter, ...] = (
               "exact pairs depth and camera_info of the same stamp, latest takes the newest camera_info; auto is exact "
               "where that stamp comes, else the newest if those around the stamp are equal bit for bit.",
               allowed=POLICIES),
+    Parameter("distortion", STRING, "auto",
+              "apply takes the depth image as raw: its rays come from K and D; ignore as rectified: they come from P. "
+              "auto is apply where D is not zero and no word of the depth topic's last part begins with rect.",
+              allowed=DISTORTION),
     Parameter("light_names", STRINGS, ("lamp",),
               "Names of the lights, each with its own group lights.<name>; [''] is none.",
               pattern=_LIGHT_NAME,

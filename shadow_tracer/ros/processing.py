@@ -18,7 +18,7 @@ from shadow_tracer.ros.frame_queue import FrameQueue, WaitingFrame
 from shadow_tracer.ros.frames import Frames, Poses
 from shadow_tracer.ros.lighting import Lighting, Lit
 from shadow_tracer.ros.mesh_store import MeshStore, Part
-from shadow_tracer.ros.messages import Intrinsics, MessageError, intrinsics
+from shadow_tracer.ros.messages import Intrinsics, MessageError, intrinsics, is_raw
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.scene.depth_mesh import depth_mesh
 
@@ -112,7 +112,7 @@ class Processor:
         info = self._queue.info_for(frame, settings.camera_info_policy, last_chance)
         height, width = frame.depth.shape
         try:
-            optics = intrinsics(info, width, height)
+            optics = intrinsics(info, width, height, is_raw(info, frame.topic, settings.distortion))
         except MessageError as error:
             cure = "" if "; " in str(error) else "; correct the driver of the camera"
             raise Missing(DEPTH, f"{error}{cure}", wait=False, level=ERROR) from error

@@ -86,6 +86,7 @@ class Settings:
     depth_occluder_step: int
     depth_occluder_max_jump: float
     camera_info_policy: str
+    distortion: str
     lights: tuple[LightSettings, ...]
     bias_constant: float
     bias_quadratic: float

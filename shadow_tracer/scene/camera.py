@@ -48,6 +48,9 @@ class RayTable:
             )
         self.xy[missing] = np.nan  # all of the same bits
         self.xy.setflags(write=False)
+        self.known: npt.NDArray[np.bool_] = ~missing[..., 0]
+        """(height, width), whether a pixel has a ray."""
+        self.known.setflags(write=False)
         self._key = self.xy.shape, hashlib.blake2b(self.xy, digest_size=32).digest()
 
     def __eq__(self, other: object) -> bool:

@@ -50,8 +50,8 @@ def depth_mesh(depth: Any, camera: Camera, step: int, max_jump: float) -> tuple[
     z = _corner_depths(image[::step, ::step])
     across, down = camera.ways(*np.ogrid[: camera.height : step, : camera.width : step])
     if camera.rays is not None:
-        z[np.isnan(across)] = np.nan  # no ray, no measurement
-        across[np.isnan(across)] = down[np.isnan(down)] = 0.0
+        missing = ~camera.rays.known[::step, ::step]  # no ray, no measurement
+        z[missing], across[missing], down[missing] = np.nan, 0.0, 0.0
     _drop_huge(z, across, down)
     triangles = _triangles(z, max_jump)
     vertices = _vertices(z, across, down)

@@ -25,6 +25,7 @@ from shadow_tracer.apps import bag, cli
 from shadow_tracer.ros.cdr import encode_mesh
 from shadow_tracer.ros.cdr_markers import ADD, TRIANGLE_LIST, MarkerMessage, encode_marker, encode_markers
 from shadow_tracer.ros.messages import rigid
+from shadow_tracer.scene.depth_mesh import depth_mesh
 
 ROOT = Path(__file__).resolve().parents[2]
 W, H, FOCAL = 64, 48, 60.0
@@ -281,6 +282,35 @@ def test_slashes_units_and_another_camera_frame(tmp_path: Path) -> None:
     assert (masks[0] == 0).sum() > 100 and (masks[0] == 255).sum() > 100
     for mask in masks[1:]:
         np.testing.assert_array_equal(mask, masks[0])
+
+
+@pytest.mark.parametrize(
+    ("topic", "distortion", "raw"),
+    [
+        (DEPTH, "auto", False),
+        ("/camera/image_raw", "auto", True),
+        (DEPTH, "apply", True),
+        ("/camera/image_raw", "ignore", False),
+    ],
+)
+def test_distortion(tmp_path: Path, topic: str, distortion: str, raw: bool) -> None:
+    """The library's masks along rays of K and D, or of P; the depth image itself casts shadow along the same."""
+    model, d = "equidistant", [0.3, 0.1, -0.05, 0.02]
+    message = info(W, H, SECOND, FOCAL)
+    message.distortion_model, message.d, message.p[0] = model, np.array(d), 2 * FOCAL
+    made = BagMaker()
+    made.add(INFO, message)
+    made.add(topic, image(depth_image(0), SECOND))
+    centre = (W - 1) / 2, (H - 1) / 2
+    options = parameters(distortion=distortion, occluders="depth", bias__constant=0.0, bias__quadratic=0.0)
+    remap = ["--remap", f"depth/image_rect:={topic}"]
+    found = run(made.write(tmp_path / "in"), tmp_path / "out.mcap", *options, *remap)["/shadow_tracer/mask"]
+    seen = Camera.distorted(W, H, FOCAL, FOCAL, *centre, model, d) if raw else Camera(W, H, 2 * FOCAL, FOCAL, *centre)
+    tracer = ShadowTracer(device="cpu", bounds=BOUNDS)
+    tracer.scene.put("depth", *depth_mesh(depth_image(0), seen, 2, 0.05))
+    expected = tracer.trace(depth_image(0), seen, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=0.0).mask()
+    assert (expected == 0).sum() > 300 and (expected == 255).sum() > 100
+    np.testing.assert_array_equal(pixels(found[0]), expected)
 
 
 def test_one_camera_info_for_all_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,6 +18,10 @@ def test_damaged_compressed_depth_is_refused_by_name() -> None:
     assert faults.damaged_compressed_depth()
 
 
+def test_a_lens_that_cannot_be_understood_is_refused_until_it_can() -> None:
+    assert faults.lens_misread()
+
+
 def test_nodes_in_namespaces_do_not_hear_each_other() -> None:
     assert faults.several_cameras(count=2)
 

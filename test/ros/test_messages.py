@@ -14,7 +14,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import Mesh, MeshTriangle
 
+from shadow_tracer import Camera
 from shadow_tracer.ros.cdr import encode_mesh, parse_mesh
+from shadow_tracer.ros.diagnostics import READ_FIRST
 from shadow_tracer.ros.messages import (
     MessageError,
     camera_pose,
@@ -22,6 +24,7 @@ from shadow_tracer.ros.messages import (
     image_message,
     info_content,
     intrinsics,
+    is_raw,
     mask_image,
     pose_matrix,
     rigid,
@@ -113,10 +116,124 @@ def test_intrinsics_come_from_p_or_else_from_k() -> None:
     assert (camera.width, camera.height, camera.fx) == (64, 48, 70.0)
 
 
-def test_distortion_is_a_warning() -> None:
+BARREL = [-0.2, 0.05, 0.01, -0.002, 0.003]
+
+
+def distorted_info(d: Any = BARREL, model: str = "plumb_bob") -> CameraInfo:
+    """camera_info of 64 x 48 pixels with a distortion, and a P that is not K."""
     info = info_msg(64, 48, 0)
-    info.d = [0.1, 0.0, 0.0, 0.0, 0.0]
-    assert "must be rectified" in intrinsics(info, 64, 48).warning
+    info.d, info.distortion_model = d, model
+    info.p[0], info.p[2] = 70.0, 30.0
+    return info
+
+
+@pytest.mark.parametrize(
+    ("topic", "rectified"),
+    [
+        ("/camera/depth/image_rect", True),
+        ("/camera/depth/image_rect_raw", True),
+        ("/camera/depth/image_rectified/compressedDepth", True),
+        ("/depth_registered/image_rect/compressedDepth", True),
+        ("/camera/depth/image_raw", False),
+        ("/camera/depth/image_raw/compressedDepth", False),
+        ("/camera/rectangle/image", False),
+        ("/camera/image_direct", False),
+        ("", False),
+    ],
+)
+def test_a_topic_says_whether_its_image_is_rectified(topic: str, rectified: bool) -> None:
+    assert is_raw(distorted_info(), topic, "auto") == (not rectified)
+    for d in ([], [0.0] * 5, [0.0, -0.0]):
+        assert not is_raw(distorted_info(d), topic, "auto")
+        assert is_raw(distorted_info(d), topic, "apply")
+    assert is_raw(distorted_info([float("nan")]), topic, "auto") == (not rectified)
+    assert is_raw(distorted_info(), topic, "apply") and not is_raw(distorted_info(), topic, "ignore")
+
+
+@pytest.mark.parametrize(
+    ("model", "d"),
+    [
+        ("plumb_bob", BARREL),
+        ("plumb_bob", BARREL[:4]),
+        ("rational_polynomial", [5.7, 3.6, 1e-4, -5e-5, 0.19, 6.0, 5.4, 1.0]),
+        ("equidistant", [-0.0037, 0.0388, -0.0368, 0.0062]),
+        ("equidistant", [0.0] * 4),
+    ],
+)
+def test_a_raw_image_has_the_rays_of_k_and_d(model: str, d: list[float]) -> None:
+    info = distorted_info(d, model)
+    optics = intrinsics(info, 64, 48, raw=True)
+    assert (optics.fx, optics.cx, optics.warning, optics.model) == (60.0, 31.5, "", model)
+    assert optics.camera(np.eye(4)) == Camera.distorted(64, 48, 60.0, 60.0, 31.5, 23.5, model, d)
+    assert intrinsics(info, 64, 48, raw=True).rays is optics.rays, "made once"
+    rectified = intrinsics(info, 64, 48)
+    assert (rectified.fx, rectified.cx, rectified.rays, rectified.model, rectified.warning) == (
+        70.0,
+        30.0,
+        None,
+        "",
+        "",
+    )
+
+
+@pytest.mark.parametrize(
+    ("model", "d"), [("plumb_bob", []), ("", []), ("", [0.0] * 5), ("rational_polynomial", [0.0] * 8)]
+)
+def test_a_raw_image_without_distortion_is_that_of_a_pinhole(model: str, d: list[float]) -> None:
+    optics = intrinsics(distorted_info(d, model), 64, 48, raw=True)
+    assert (optics.fx, optics.rays, optics.model, optics.warning) == (60.0, None, "", "")
+
+
+@pytest.mark.parametrize(
+    ("model", "d", "message"),
+    [
+        (
+            "fisheye",
+            BARREL,
+            "camera_info.distortion_model: expected one of plumb_bob, rational_polynomial, equidistant,",
+        ),
+        ("", BARREL, "camera_info.distortion_model: expected one of"),
+        ("plumb_bob", BARREL[:3], "camera_info.d: expected 4 or 5 coefficients of plumb_bob, got 3"),
+        ("plumb_bob", [float("nan")] * 5, "camera_info.d: expected finite numbers of at most 1e+09, got"),
+        ("plumb_bob", [-3.0, 0.0, 0.0, 0.0], "camera_info.d: expected coefficients of plumb_bob that give every pixel"),
+        ("rational_polynomial", [0.1] * 14, "camera_info.d: expected no tilt of the sensor"),
+    ],
+)
+def test_distortion_that_cannot_be_undone_is_refused(model: str, d: list[float], message: str) -> None:
+    for _ in range(2):  # the second time it is known
+        with pytest.raises(MessageError) as caught:
+            intrinsics(distorted_info(d, model), 64, 48, raw=True)
+        assert str(caught.value).startswith(message)
+        cure = str(caught.value).rpartition("; ")[2]
+        assert "rectif" in cure and len(cure) <= READ_FIRST
+    assert intrinsics(distorted_info(d, model), 64, 48).rays is None
+
+
+def test_a_raw_image_needs_k() -> None:
+    info = distorted_info()
+    info.k = [0.0] * 9
+    with pytest.raises(
+        MessageError, match=r"^camera_info\.k: K\[0\] is 0, and a raw image needs K; set distortion to "
+    ):
+        intrinsics(info, 64, 48, raw=True)
+    info.k = [60.0, 0.0, float("nan"), 0.0, 60.0, 23.5, 0.0, 0.0, 1.0]
+    with pytest.raises(MessageError, match=r"^camera_info\.k: expected fx, fy from"):
+        intrinsics(info, 64, 48, raw=True)
+
+
+@pytest.mark.parametrize(
+    ("offset", "window", "binning"), [((8, 4), (32, 24), (0, 0)), ((0, 0), (0, 0), (2, 2)), ((8, 4), (32, 24), (2, 4))]
+)
+def test_rays_of_a_cut_or_binned_image_are_those_of_the_full_one(offset: Any, window: Any, binning: Any) -> None:
+    info = reduced_info(offset, window, binning)
+    info.d, info.k[4] = BARREL, 61.0
+    x, y = (max(1, step) for step in binning)
+    width, height = (window[0] or 64) // x, (window[1] or 48) // y
+    rays = intrinsics(info, width, height, raw=True).rays
+    full = Camera.distorted(64, 48, 60.0, 61.0, 31.5, 23.5, "plumb_bob", BARREL).rays
+    assert rays is not None
+    cut = full.xy[offset[1] : offset[1] + height * y : y, offset[0] : offset[0] + width * x : x]
+    np.testing.assert_allclose(rays.xy, cut, rtol=0.0, atol=1e-7)
 
 
 def reduced_info(offset: tuple[int, int], window: tuple[int, int], binning: tuple[int, int]) -> CameraInfo:

@@ -6,12 +6,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from compressed_images import compressed_msg
-from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, nanoseconds, plate, wall
+from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, image_msg, info_msg, nanoseconds, plate, reliable, wall
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer
+from shadow_tracer.ros.answer import Answer
 from shadow_tracer.ros.compressed_depth import decode
 from shadow_tracer.ros.diagnostics import DEPTH, ERROR, OK, PROCESSING
+from shadow_tracer.ros.frame_queue import WaitingFrame
+from shadow_tracer.ros.messages import intrinsics
+from shadow_tracer.scene.depth_mesh import depth_mesh
 
 PACKED = {"depth_image_transport": "compressedDepth"}
 TOPIC = "depth/image_rect/compressedDepth"
@@ -20,11 +24,11 @@ MILLIMETRES = RNG.integers(1500, 2500, (HEIGHT, WIDTH)).astype(np.uint16)
 MILLIMETRES[RNG.random(MILLIMETRES.shape) < 0.1] = 0
 
 
-def library(depth: np.ndarray) -> np.ndarray:
+def library(depth: np.ndarray, camera: Camera | None = None) -> np.ndarray:
     """The mask by the library."""
     tracer = ShadowTracer(device="cpu", bounds=Bounds(max_triangles=64, max_rays=WIDTH * HEIGHT, queue_capacity=4096))
     tracer.scene.put("mesh", *plate())
-    camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+    camera = camera or Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
     bias = Bias(SMALL.get("bias.constant", 0.02), SMALL.get("bias.quadratic", 0.003))
     return tracer.trace(depth, camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=bias).mask()
 
@@ -166,3 +170,108 @@ def test_camera_info_beside_every_mask_is_sent_to_listeners_with_the_header_of_t
         rig.trace(wall(), info=False)
         assert set(infos) == {"", "other"}
         assert [name for name, _ in sent] == ["mask/camera_info", "mask/other/camera_info"]
+
+
+FISHEYE = [0.3, 0.1, -0.05, 0.02]
+RAW = "/camera/depth/image_raw"
+
+
+def lens(model: str, d: list[float]) -> Camera:
+    """The camera of :func:`send_distorted`."""
+    return Camera.distorted(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, model, d)
+
+
+def send_distorted(
+    rig: Rig, depth: np.ndarray, model: str, d: list[float], p: float = FOCAL, focal: float = FOCAL
+) -> np.ndarray:
+    """The mask of a frame whose camera_info has a distortion."""
+    stamp = rig.next_stamp()
+    info = info_msg(WIDTH, HEIGHT, stamp, focal)
+    info.distortion_model, info.d, info.p[0] = model, d, p
+    rig.info.publish(info)
+    rig.depth.publish(image_msg(depth, stamp))
+    return rig.mask_of(stamp)
+
+
+def test_distortion() -> None:
+    """What auto makes of it, and what the user says it is. A P of twice the focal length tells that P is used."""
+    pinhole = Camera(WIDTH, HEIGHT, 2 * FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+    of_p, of_d = library(MILLIMETRES, pinhole), library(MILLIMETRES, lens("equidistant", FISHEYE))
+    assert (of_p != of_d).sum() > 50
+    for topic, by_name in (("depth/image_rect", of_p), (RAW, of_d)):
+        with Rig(start=False) as rig:
+            rig.depth = rig.friend.create_publisher(Image, topic, reliable())
+            rig.start({}, ["-r", f"depth/image_rect:={topic}"])
+            rig.send_mesh(*plate())
+            for value, expected in (("auto", by_name), ("ignore", of_p), ("apply", of_d), ("auto", by_name)):
+                assert rig.set(distortion=value) == ""
+                mask = send_distorted(rig, MILLIMETRES, "equidistant", FISHEYE, 2 * FOCAL)
+                np.testing.assert_array_equal(mask, expected, err_msg=f"{topic}: {value}")
+                model = "equidistant" if expected is of_d else "none"
+                rig.until(lambda model=model: rig.value(DEPTH, "distortion") == model)
+            rig.wait_status(DEPTH, OK)
+
+
+def test_distortion_of_every_model_and_its_own_surface() -> None:
+    """The depth image casts shadow along the same rays; a picture is made, and camera_info is passed on as it came."""
+    cases: list[tuple[str, list[float]]] = [
+        ("plumb_bob", [-0.2, 0.05, 0.01, -0.002, 0.003]),
+        ("rational_polynomial", [5.7, 3.6, 1e-4, -5e-5, 0.19, 6.0, 5.4, 1.0]),
+        ("equidistant", FISHEYE),
+    ]
+    with Rig({"distortion": "apply"}) as rig:
+        rig.send_mesh(*plate())
+        overlays = rig.collect(Image, "shadow_tracer/overlay")
+        masks = []
+        for model, d in cases:
+            masks.append(send_distorted(rig, MILLIMETRES, model, d))
+            np.testing.assert_array_equal(masks[-1], library(MILLIMETRES, lens(model, d)), err_msg=model)
+            rig.until(lambda d=d: bool(rig.infos) and list(rig.infos[-1].d) == d)
+        assert (masks[0] != masks[1]).any() and (masks[1] != masks[2]).any()
+        rig.until(lambda: len(overlays) >= 3)
+        assert rig.set(occluders="depth", bias__constant=0.0, bias__quadratic=0.0) == ""
+        camera = lens(*cases[1])
+        tracer = ShadowTracer(device="cpu", bounds=Bounds(max_triangles=9000, max_rays=WIDTH * HEIGHT))
+        tracer.scene.put("depth", *depth_mesh(MILLIMETRES, camera, 2, 0.05))
+        expected = tracer.trace(MILLIMETRES, camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=0.0).mask()
+        np.testing.assert_array_equal(send_distorted(rig, MILLIMETRES, *cases[1]), expected)
+
+
+def test_pixels_without_a_ray_are_unknown() -> None:
+    """In masks and in images of depth."""
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    known = (np.hypot(u - 31.5, v - 23.5) / 20.0 < 0.5 * np.pi) & (MILLIMETRES > 0)
+    assert 1000 < known.sum() < (MILLIMETRES > 0).sum() - 300
+    ideal = "equidistant", [0.0] * 4
+    with Rig({"distortion": "apply", "mask.unknown_value": 7}) as rig:
+        lit = rig.collect(Image, "shadow_tracer/depth_lit")
+        assert (send_distorted(rig, MILLIMETRES, *ideal, 20.0, 20.0) == np.where(known, 255, 7)).all()
+        rig.until(lambda: bool(lit))
+        seen = np.frombuffer(lit[-1].data, np.uint16).reshape(HEIGHT, WIDTH)
+        np.testing.assert_array_equal(seen, np.where(known, MILLIMETRES, 0))
+
+
+def test_distortion_that_cannot_be_undone_gives_an_unknown_mask() -> None:
+    with Rig({"distortion": "apply", "mask.unknown_value": 7}) as rig:
+        good = send_distorted(rig, MILLIMETRES, "equidistant", FISHEYE)
+        for model, d, message in (
+            ("fisheye", FISHEYE, "camera_info.distortion_model: expected one of plumb_bob, rational_polynomial, equid"),
+            ("plumb_bob", FISHEYE[:3], "camera_info.d: expected 4 or 5 coefficients of plumb_bob, got 3"),
+            ("plumb_bob", [-3.0, 0.0, 0.0, 0.0], "camera_info.d: expected coefficients of plumb_bob that give every"),
+        ):
+            assert (send_distorted(rig, MILLIMETRES, model, d) == 7).all()
+            rig.wait_status(DEPTH, ERROR, message)
+            np.testing.assert_array_equal(send_distorted(rig, MILLIMETRES, "equidistant", FISHEYE), good)
+            rig.wait_status(DEPTH, OK)
+        assert rig.value(PROCESSING, "faults") == "0"
+
+
+def test_pixels_without_a_ray_where_no_light_shines() -> None:
+    """As at night, when the sun reaches none of them: those that have a ray are dark, the others unknown."""
+    info = info_msg(WIDTH, HEIGHT, 1, 20.0)
+    info.distortion_model, info.d = "equidistant", [0.0] * 4
+    optics = intrinsics(info, WIDTH, HEIGHT, raw=True)
+    frame = WaitingFrame(image_msg(MILLIMETRES, 1), MILLIMETRES, 1, 0.0)
+    answer = Answer(frame, info, None, ("sun",), ("sun",), 7, optics=optics)
+    assert optics.rays is not None and 1000 < optics.rays.known.sum() < optics.rays.known.size - 300
+    np.testing.assert_array_equal(answer.mask(), np.where(optics.rays.known & (MILLIMETRES > 0), 0, 7))

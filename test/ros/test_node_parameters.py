@@ -588,6 +588,7 @@ SHOWN_BELOW = {
     "depth_image_transport": test_node_cameras.test_the_transport_can_be_changed_while_the_node_runs,
     "depth.unit": test_node_cameras.test_a_unit_gives_the_masks_of_metres,
     "camera_info_policy": test_camera_info_policy,
+    "distortion": test_node_cameras.test_distortion,
     "mask.publish": test_mask_publish,
     "mask.dilate": test_mask_dilate,
     "mask.invert": test_mask_invert,

@@ -68,6 +68,8 @@ BAD = [
     ("depth_occluder.step", 1.5, "depth_occluder.step: expected integer"),
     ("depth_occluder.max_jump", 1.01, "depth_occluder.max_jump: expected double ("),
     ("camera_info_policy", "nearest", "camera_info_policy: expected string (auto, exact, latest)"),
+    ("distortion", "yes", "distortion: expected string (auto, apply, ignore), got 'yes'"),
+    ("distortion", True, "distortion: expected string (auto, apply, ignore), got True"),
     ("light_names", "lamp", "light_names: expected string array"),
     ("light_names", ["lamp", "lamp"], "light_names: expected different names"),
     ("light_names", ["my lamp"], "light_names: expected names of letters, digits"),

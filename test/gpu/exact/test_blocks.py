@@ -18,8 +18,8 @@ from shadow_tracer.gpu.exact.light_frame import PENDING, Anchor, make_light_fram
 from shadow_tracer.gpu.exact.records import FILTER_FACTOR, prepare_triangles  # noqa: E402
 from shadow_tracer.gpu.occluders.seen import prepare  # noqa: E402
 from shadow_tracer.gpu.occluders.world import SceneBuffers  # noqa: E402
-from shadow_tracer.gpu.samples.held import pixels  # noqa: E402
-from shadow_tracer.gpu.samples.held import rays as projection  # noqa: E402
+from shadow_tracer.gpu.samples import pixels  # noqa: E402
+from shadow_tracer.gpu.samples import rays as projection  # noqa: E402
 from shadow_tracer.gpu.samples.pinhole import Pinhole  # noqa: E402
 from shadow_tracer.gpu.samples.rays import FIRST_TIME, ONCE_MORE, PENDING_RAYS  # noqa: E402
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers  # noqa: E402
