@@ -25,9 +25,10 @@ class DepthCamera:
     """Renders depth images of scenes on one device. Not thread-safe: one depth camera, one thread.
 
     A pixel sees the closest triangle that its ray meets, edges and corners included, from either side and at any
-    distance in front of the optical centre. Whether a ray meets a triangle is decided exactly, so there are no holes
-    between triangles that share an edge or a corner, and the image is the same on every device. Triangles that have no
-    area, are seen exactly edge-on, or have a corner that is not finite are not seen.
+    distance in front of the optical centre. Rays are those of a pinhole or of the camera's table. Whether a ray meets a
+    triangle is decided exactly, so there are no holes between triangles that share an edge or a corner, and the image
+    is the same on every device. Triangles that have no area, are seen exactly edge-on, or have a corner that is not
+    finite are not seen.
 
     Args:
         device: "cpu", "cuda:0", ...; None is the best there is.
@@ -79,9 +80,9 @@ class DepthCamera:
         """What ``camera`` sees of ``scene``. Of the scene, only what changed since the last call is uploaded.
 
         Returns:
-            depth (H, W) float32, metres along the optical axis, positive; NaN where nothing is hit. And triangle (H,
-            W) int32: number of the triangle that is seen, counted through the meshes of the scene in their order; -1
-            where nothing is hit. Of triangles at the same depth the first one is seen.
+            depth (H, W) float32, metres along the optical axis, positive; NaN where nothing is hit or a pixel has no
+            ray. And triangle (H, W) int32: number of the triangle that is seen, counted through the meshes of the scene
+            in their order; -1 where nothing is hit. Of triangles at the same depth the first one is seen.
 
         Raises:
             ValueError: not a scene or a camera.

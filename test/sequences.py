@@ -180,7 +180,7 @@ def _query(rng: Rng, plain: bool) -> tuple[np.ndarray | None, Camera | None, np.
     height = int(rng.choice([1, 2, 15, 48, 100, 150]))
     pose = _pose(rng) if rng.random() < 0.5 else np.eye(4)
     camera = Camera(width, height, 0.8 * max(width, 2), 0.8 * max(width, 2), width / 2, height / 2, pose)
-    camera = replace(camera, rays=_rays(rng.spawn(1)[0], camera))
+    camera = replace(camera, rays=any_rays(rng.spawn(1)[0], camera))
     depth = np.full((height, width), 8.0, np.float32)
     if rng.random() < 0.7:
         depth = rng.uniform(0.3, 9.0, (height, width)).astype(np.float32)
@@ -190,7 +190,7 @@ def _query(rng: Rng, plain: bool) -> tuple[np.ndarray | None, Camera | None, np.
     return depth, camera, None
 
 
-def _rays(rng: Rng, camera: Camera) -> np.ndarray | None:
+def any_rays(rng: Rng, camera: Camera) -> np.ndarray | None:
     """For half of the cameras a table: of a barrel distortion, and at times some pixels without a ray."""
     if rng.random() < 0.5:
         return None

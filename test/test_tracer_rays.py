@@ -114,6 +114,45 @@ def test_cameras_that_differ_in_their_rays_alone_take_turns(
         assert probe.recordings(tracer) > 0
 
 
+@pytest.mark.parametrize(
+    ("size", "f", "centre", "model", "d", "wrong"),
+    [
+        ((640, 576), 504.0, (320.0, 336.0), "rational_polynomial", _AZURE, 0.1),  # time of flight
+        ((640, 360), 326.9, (326.2, 180.9), "plumb_bob", (-0.05176, 0.05644, -0.00081, 0.00137, -0.01871), 0.01),
+    ],
+    ids=["raw depth", "depth aligned to raw colour"],
+)
+def test_the_shadow_on_a_wall_is_where_geometry_says(
+    size: tuple[int, int], f: float, centre: tuple[float, float], model: str, d: Any, wrong: float
+) -> None:
+    """A square between a lamp and a wall, seen by two real cameras. Rays by another inverse than the package's."""
+    k1, k2, p1, p2, k3, *under = d
+    k4, k5, k6 = under or (0.0, 0.0, 0.0)
+    u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    xd, yd = (u - centre[0]) / f, (v - centre[1]) / f
+    x, y = xd, yd
+    for _ in range(60):
+        s = x * x + y * y
+        scale = (1 + k1 * s + k2 * s**2 + k3 * s**3) / (1 + k4 * s + k5 * s**2 + k6 * s**3)
+        across, down = 2 * p1 * x * y + p2 * (s + 2 * x * x), p1 * (s + 2 * y * y) + 2 * p2 * x * y
+        x, y = (xd - across) / scale, (yd - down) / scale
+    lamp, half, wall = np.array([0.5, -0.5, 0.0]), 0.25, 2.0
+    # Where the way from the lamp to the wall crosses the plane of the square, half way.
+    px, py = 0.5 * (lamp[0] + x * wall), 0.5 * (lamp[1] + y * wall)
+    inside = (np.abs(px) < half) & (np.abs(py) < half)
+    clear = (np.abs(np.abs(px) - half) > 1e-6) & (np.abs(np.abs(py) - half) > 1e-6)
+    tracer = ShadowTracer(device="cpu", bounds=Bounds(max_triangles=2, max_rays=size[0] * size[1], max_lights=1))
+    square = np.array([(-half, -half, 1.0), (half, -half, 1.0), (half, half, 1.0), (-half, half, 1.0)])
+    tracer.scene.put("square", square, np.array([(0, 1, 2), (0, 2, 3)]))
+    depth = np.full(size[::-1], wall, np.float32)
+    seen = [
+        tracer.trace(depth, camera, [PointLight("lamp", lamp)], 0.0).state("lamp") == State.SHADOWED
+        for camera in (Camera.distorted(*size, f, f, *centre, model, d), Camera(*size, f, f, *centre))
+    ]
+    np.testing.assert_array_equal(seen[0][clear], inside[clear])
+    assert (seen[1] != inside).sum() > wrong * inside.sum(), "as a pinhole's it would be right, too"
+
+
 def test_a_table_is_uploaded_once_and_lies_in_the_declared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     tracer = ShadowTracer("light_grid", device="cpu", bounds=_BOUNDS, threads=1)
     before, camera = tracer.device_bytes, _camera("rational")

@@ -81,15 +81,24 @@ COVER = r"""
             x1 = plus(times(x1, grid.fx), grid.cx) + pad_x;
             y0 = plus(times(y0, grid.fy), grid.cy) - pad_y;
             y1 = plus(times(y1, grid.fy), grid.cy) + pad_y;
-            if (x0 > right || x1 < 0.0f || y0 > bottom || y1 < 0.0f)
-                return none;
-            // Between them lies no pixel centre: no ray.
-            c0 = x0 > 0.0f ? ceilf(x0) : 0.0f;
-            c1 = x1 < right ? floorf(x1) : right;
-            r0 = y0 > 0.0f ? ceilf(y0) : 0.0f;
-            r1 = y1 < bottom ? floorf(y1) : bottom;
-            if (c0 > c1 || r0 > r1)
-                return none;
+            if (grid.tabled) {
+                // Rays are anywhere, and beyond the grid in its outermost tiles.
+                auto within = [](float x, float end) { return x < 0.0f ? 0.0f : x > end ? end : x; };
+                c0 = within(floorf(x0), right);
+                c1 = within(floorf(x1), right);
+                r0 = within(floorf(y0), bottom);
+                r1 = within(floorf(y1), bottom);
+            } else {
+                if (x0 > right || x1 < 0.0f || y0 > bottom || y1 < 0.0f)
+                    return none;
+                // Between them lies no pixel centre: no ray.
+                c0 = x0 > 0.0f ? ceilf(x0) : 0.0f;
+                c1 = x1 < right ? floorf(x1) : right;
+                r0 = y0 > 0.0f ? ceilf(y0) : 0.0f;
+                r1 = y1 < bottom ? floorf(y1) : bottom;
+                if (c0 > c1 || r0 > r1)
+                    return none;
+            }
         }
         Cover it = { 0, (int)c0 / grid.tile, (int)c1 / grid.tile, (int)r0 / grid.tile, (int)r1 / grid.tile };
         if (it.x1 >= grid.tiles_x)
@@ -107,8 +116,9 @@ COVER = r"""
     };
     // Whether any ray of these columns and rows may be inside the edges of a record.
     auto may_meet = [&](const float* record, int column0, int column1, int row0, int row1) -> bool {
-        const float x0 = grid.columns.data[column0], x1 = grid.columns.data[column1];
-        const float y0 = grid.rows.data[row0], y1 = grid.rows.data[row1];
+        // The axes of a table of rays are the edges of the tiles, those of a pinhole the rays themselves.
+        const float x0 = grid.columns.data[column0], x1 = grid.columns.data[column1 + grid.tabled];
+        const float y0 = grid.rows.data[row0], y1 = grid.rows.data[row1 + grid.tabled];
         const float most_x = fabsf(x0) > fabsf(x1) ? fabsf(x0) : fabsf(x1);
         const float most_y = fabsf(y0) > fabsf(y1) ? fabsf(y0) : fabsf(y1);
         const float bound = times(record[3], most_x + most_y + 2.0f);

@@ -2,7 +2,8 @@
 """THE test of a pixel's ray and a triangle, and the closest hit of a tile's rays, one ray per thread.
 
 The ray of a pixel is o + t d: o the optical centre as given, d = (R0 x + R1 y) + R2 with x = (column - cx) / fx and y =
-(row - cy) / fy, every operation rounded to float64 and none fused. o and d are taken as exact, as the corners are.
+(row - cy) / fy, or x and y of the camera's table, every operation rounded to float64 and none fused. o and d are taken
+as exact, as the corners are.
 
 It meets a triangle iff d lies in the closed cone of the triangle: with the exact determinants D = det[o - a, b - a, c -
 a] and E_ab = det[d, o - a, b - a] (and cyclic), iff D is not zero and no D E is negative. E_bc / D is a's share in d =
@@ -28,8 +29,7 @@ from shadow_tracer.gpu.accelerators.camera_grid.setup import Grid
 from shadow_tracer.gpu.exact.determinant import ARITHMETIC, DETERMINANT
 
 _DEPTH = r"""
-    auto direction = [&](int column, int row, double* d) {
-        const double x = grid.columns64.data[column], y = grid.rows64.data[row];
+    auto direction = [&](double x, double y, double* d) {
         for (int k = 0; k < 3; ++k)
             d[k] = add(add(mul(grid.right[k], x), mul(grid.down[k], y)), grid.forward[k]);
     };
@@ -85,32 +85,36 @@ HIT = (
     HIT
     + r"""
     double d[3];
-    direction(column, row, d);
+    direction(x, y, d);
     const int met = meets(triangle, d) ? 1 : 0;
     return met | exact_used << 1;
     """
 )
 def ray_meets(
     grid: Grid,
-    column: int,
-    row: int,
+    x: wp.float64,
+    y: wp.float64,
     triangle: int,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
     planes: wp.array2d(dtype=wp.float64),
 ) -> int:
-    """Bit 0: whether the ray of a pixel meets a triangle, exact; the other bits count expansion arithmetic."""
+    """Bit 0: whether a ray meets a triangle, exact; the other bits count expansion arithmetic."""
     ...
 
 
-@wp.func_native(DEPTH + "double d[3]; direction(column, row, d); return depth_at(triangle, d);")
-def hit_depth(grid: Grid, column: int, row: int, triangle: int, planes: wp.array2d(dtype=wp.float64)) -> wp.float64:
+@wp.func_native(DEPTH + "double d[3]; direction(x, y, d); return depth_at(triangle, d);")
+def hit_depth(
+    grid: Grid, x: wp.float64, y: wp.float64, triangle: int, planes: wp.array2d(dtype=wp.float64)
+) -> wp.float64:
     """Depth of a hit [m]."""
     ...
 
 
-@wp.func_native(DEPTH + "double d[3]; direction(column, row, d); return measured(depth_at(triangle, d));")
-def measured_depth(grid: Grid, column: int, row: int, triangle: int, planes: wp.array2d(dtype=wp.float64)) -> float:
+@wp.func_native(DEPTH + "double d[3]; direction(x, y, d); return measured(depth_at(triangle, d));")
+def measured_depth(
+    grid: Grid, x: wp.float64, y: wp.float64, triangle: int, planes: wp.array2d(dtype=wp.float64)
+) -> float:
     """Depth of a hit as it is handed out: positive and finite float32 [m]."""
     ...
 
@@ -154,10 +158,24 @@ def inverse_depth(record: wp.vec4, x: float, y: float) -> float:
 
 
 @wp.func
-def visit(grid: Grid, scene: Sorted, column: int, row: int, triangle: int, best: Best) -> Best:
-    """One ray, one triangle."""
-    x = grid.columns[column]
-    y = grid.rows[row]
+def ray_x(grid: Grid, column: int, ray: wp.vec2) -> wp.float64:
+    if grid.tabled != 0:
+        return wp.float64(ray[0])
+    return grid.columns64[column]
+
+
+@wp.func
+def ray_y(grid: Grid, row: int, ray: wp.vec2) -> wp.float64:
+    if grid.tabled != 0:
+        return -wp.float64(ray[1])
+    return grid.rows64[row]
+
+
+@wp.func
+def visit(grid: Grid, scene: Sorted, column: int, row: int, ray: wp.vec2, triangle: int, best: Best) -> Best:
+    """One ray, one triangle; ``ray`` is x and -y in float32."""
+    x = ray[0]
+    y = ray[1]
     magnitude = wp.abs(x) + wp.abs(y) + 2.0
     ab = scene.records[triangle, 0]
     bc = scene.records[triangle, 1]
@@ -174,20 +192,38 @@ def visit(grid: Grid, scene: Sorted, column: int, row: int, triangle: int, best:
     if q + slack < best.low:
         return best
     if not e > bound:
-        met = ray_meets(grid, column, row, triangle, scene.vertices, scene.triangles, scene.planes)
+        u = ray_x(grid, column, ray)
+        met = ray_meets(grid, u, ray_y(grid, row, ray), triangle, scene.vertices, scene.triangles, scene.planes)
         best.retested += 1
         best.exact += met >> 1
         if (met & 1) == 0:
             return best
     if not q - slack > best.high and best.triangle >= 0:
         best.compared += 1
-        mine = hit_depth(grid, column, row, triangle, scene.planes)
-        other = hit_depth(grid, column, row, best.triangle, scene.planes)
+        across = ray_x(grid, column, ray)
+        down = ray_y(grid, row, ray)
+        mine = hit_depth(grid, across, down, triangle, scene.planes)
+        other = hit_depth(grid, across, down, best.triangle, scene.planes)
         if mine > other or (mine == other and triangle >= best.triangle):
             return best
     best.triangle = triangle
     best.low = q - slack
     best.high = q + slack
+    return best
+
+
+@wp.func
+def begin_with(scene: Sorted, triangle: int, ray: wp.vec2) -> Best:
+    """A triangle that a pass before has found, -1 if it has found none."""
+    best = Best()
+    best.triangle = triangle
+    best.low = float(-wp.inf)
+    best.high = float(-wp.inf)
+    if triangle >= 0:
+        q = inverse_depth(scene.records[triangle, 3], ray[0], ray[1])
+        slack = scene.records[triangle, 1][3] * (wp.abs(ray[0]) + wp.abs(ray[1]) + 2.0)
+        best.low = q - slack
+        best.high = q + slack
     return best
 
 
@@ -228,19 +264,23 @@ def trace_pixels(
     if column >= grid.width or row >= grid.height:
         return
     at = row * grid.width + column
-    best = Best()
-    best.triangle = -1
-    best.low = float(-wp.inf)
-    best.high = float(-wp.inf)
+    ray = wp.vec2(0.0, 0.0)
+    if grid.tabled != 0:
+        # Neighbours in the image mostly lie in the same tile here, too.
+        tile = grid.tile_of[at]
+        if tile < 0:
+            image.triangle[at] = -1
+            image.depth[at] = float(wp.nan)
+            return
+        tile_x = tile % grid.tiles_x
+        tile_y = tile // grid.tiles_x
+        ray = wp.vec2(grid.table[at][0], -grid.table[at][1])
+    else:
+        ray = wp.vec2(grid.columns[column], grid.rows[row])
+    before = int(-1)
     if further != 0:
-        best.triangle = image.triangle[at]
-        if best.triangle >= 0:
-            x = grid.columns[column]
-            y = grid.rows[row]
-            q = inverse_depth(scene.records[best.triangle, 3], x, y)
-            slack = scene.records[best.triangle, 1][3] * (wp.abs(x) + wp.abs(y) + 2.0)
-            best.low = q - slack
-            best.high = q + slack
+        before = image.triangle[at]
+    best = begin_with(scene, before, ray)
     fine = tile_y * grid.tiles_x + tile_x
     coarse = grid.tiles_x * grid.tiles_y + (tile_y // grid.group) * grid.coarse_x + tile_x // grid.group
     # Both lists in one loop, so that the exact decision is compiled once.
@@ -252,11 +292,12 @@ def trace_pixels(
         else:
             triangle = scene.lists[scene.starts[coarse] + k - mine]
         if k < mine or tile_may_meet(grid, scene.records, triangle, tile_x, tile_y):
-            best = visit(grid, scene, column, row, triangle, best)
+            best = visit(grid, scene, column, row, ray, triangle, best)
     image.triangle[at] = best.triangle
     image.depth[at] = float(wp.nan)
     if best.triangle >= 0:
-        image.depth[at] = measured_depth(grid, column, row, best.triangle, scene.planes)
+        u = ray_x(grid, column, ray)
+        image.depth[at] = measured_depth(grid, u, ray_y(grid, row, ray), best.triangle, scene.planes)
     add_counts(best, number, counters)
 
 

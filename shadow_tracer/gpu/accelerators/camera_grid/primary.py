@@ -3,10 +3,11 @@
 
 The image is cut into sorting tiles of 8 x 8 pixels. Triangles go into the lists of the tiles they may be seen in
 (``bins.py``), the rays of a tile test its list (``hit.py``). Indirect mapping: a thread block traces 2
-x 2 sorting tiles, so that it has threads enough although lists stay short.
+x 2 sorting tiles, so that it has threads enough although lists stay short. Where the rays are a table, a pixel looks up
+the tile that its ray lies in.
 
 Two forms with the same bits: plain Warp kernels, one thread per pixel, and for the CPU one that bins in order and
-tests sixteen rays at a time (``wide.py``).
+tests sixteen rays at a time (``wide.py``), but those of a table one by one.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.camera_grid.bins import bin_triangles, count_entries, emit_entries, fill_lists
 from shadow_tracer.gpu.accelerators.camera_grid.hit import COUNTERS, Image, Sorted, threads_of, trace_pixels
+from shadow_tracer.gpu.accelerators.camera_grid.rays import Axis, tiles_of
 from shadow_tracer.gpu.accelerators.camera_grid.setup import Grid, make_camera_frame, pack_triangles
 from shadow_tracer.gpu.accelerators.camera_grid.wide import TILE, trace_tiles
 from shadow_tracer.gpu.device import forms
@@ -29,7 +31,7 @@ from shadow_tracer.gpu.occluders.corners import project_vertex_blocks, project_v
 from shadow_tracer.gpu.occluders.seen import prepare
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.scene.bounds import Bounds
-from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.camera import Camera, RayTable
 from shadow_tracer.scene.mesh import Scene
 
 _GROUP = 8
@@ -82,6 +84,9 @@ class PrimaryRays:
         self._culled = wp.zeros(64, dtype=int, device=device)
         self._counters = wp.zeros((64, len(COUNTERS)), dtype=wp.int64, device=device)
         self._axes = [wp.empty(rays + tile, dtype=t, device=device) for t in (float, float, wp.float64, wp.float64)]
+        self._table = wp.empty(rays, dtype=wp.vec2, device=device)
+        self._tile_of = wp.empty(rays, dtype=int, device=device)
+        self._along: tuple[RayTable, Axis, Axis] | None = None  # what axes, table and tiles are of; None: a pinhole
         self._image = Image()
         self._image.depth = wp.empty(rays, dtype=float, device=device)
         self._image.triangle = wp.empty(rays, dtype=int, device=device)
@@ -115,23 +120,41 @@ class PrimaryRays:
     def _look_from(self, camera: Camera) -> None:
         if camera is self._made_for:
             return
-        self._made_for = camera
+        self._made_for = None
         self._frame.write([make_camera_frame(camera)])
         grid, tile = Grid(), self._tile
         grid.width, grid.height, grid.tile, grid.group = camera.width, camera.height, tile, _GROUP
         grid.tiles_x, grid.tiles_y = -(-camera.width // tile), -(-camera.height // tile)
         grid.coarse_x, grid.coarse_y = -(-grid.tiles_x // _GROUP), -(-grid.tiles_y // _GROUP)
-        grid.fx, grid.fy, grid.cx, grid.cy = camera.fx, camera.fy, camera.cx, camera.cy
         rotation = camera.camera_to_world[:3, :3]
         grid.position = wp.vec3d(*camera.position)
         grid.right, grid.down, grid.forward = (wp.vec3d(*rotation[:, k]) for k in range(3))
         grid.depth_row = wp.vec3d(*np.linalg.inv(rotation)[2])
-        x = (np.arange(grid.tiles_x * tile, dtype=np.float64) - camera.cx) / camera.fx
-        y = (np.arange(grid.tiles_y * tile, dtype=np.float64) - camera.cy) / camera.fy
-        for axis, values in zip(self._axes, (x.astype(np.float32), -y.astype(np.float32), x, y), strict=True):
-            self.scene.upload(axis, values)
         grid.columns, grid.rows, grid.columns64, grid.rows64 = self._axes
-        self._grid = grid
+        grid.table, grid.tile_of, grid.tabled = self._table, self._tile_of, camera.rays is not None
+        if camera.rays is not None:
+            self._look_along(camera.rays, grid)
+        else:
+            grid.fx, grid.fy, grid.cx, grid.cy = camera.fx, camera.fy, camera.cx, camera.cy
+            x = (np.arange(grid.tiles_x * tile, dtype=np.float64) - camera.cx) / camera.fx
+            y = (np.arange(grid.tiles_y * tile, dtype=np.float64) - camera.cy) / camera.fy
+            for axis, values in zip(self._axes, (x.astype(np.float32), -y.astype(np.float32), x, y), strict=True):
+                self.scene.upload(axis, values)
+            self._along = None
+        self._grid, self._made_for = grid, camera
+
+    def _look_along(self, rays: RayTable, grid: Grid) -> None:
+        """Axes, rays and their tiles, which another pose leaves as they are."""
+        if self._along is None or self._along[0] != rays:
+            across, down, tiles = tiles_of(rays, self._tile)
+            self._along = None
+            self.scene.upload(self._table, rays.xy.reshape(-1, 2))
+            self.scene.upload(self._tile_of, tiles.reshape(-1))
+            for axis, values in zip(self._axes, (across.edges, -down.edges), strict=False):
+                self.scene.upload(axis, values)
+            self._along = rays, across, down
+        _, across, down = self._along
+        grid.fx, grid.fy, grid.cx, grid.cy = across.focal, down.focal, across.centre, down.centre
 
     def _set_up(self, count: int) -> None:
         device, scene = self._device, self.scene
@@ -155,7 +178,10 @@ class PrimaryRays:
         while passes == 0 or self._cursor.numpy()[0] < count:
             wp.launch(bin_triangles, dim=1, inputs=[count, grid, *sizes], device=device)
             inputs = [grid, self._sorted(starts), int(passes > 0), self._image, self._counters]
-            wp.launch(trace_tiles, dim=grid.tiles_y, inputs=inputs, device=device)
+            if grid.tabled:  # rays of a tile are not in rows
+                wp.launch(trace_pixels, dim=threads_of(grid, _BLOCK), inputs=[_BLOCK, *inputs], device=device)
+            else:
+                wp.launch(trace_tiles, dim=grid.tiles_y, inputs=inputs, device=device)
             passes += 1
             entries += int(self._cursor.numpy()[2])
             largest = max(largest, self._largest(starts))

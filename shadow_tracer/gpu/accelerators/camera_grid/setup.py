@@ -2,9 +2,10 @@
 """Triangles as a camera sees them: edge planes, inverse depth and exact plane of each.
 
 The camera is a point light at the optical centre: a ``LightFrame`` with its anchor there, axes from the inverse of the
-camera's rotation (which need not be exactly orthonormal) and the scale below. A pixel's ray is d = R (x, y, 1) with x
-= (column - cx) / fx and y = (row - cy) / fy, in the frame h = (x, -y, 1) for the edges and (x, -y, -1) for the plane,
-whatever its depth. So ``records.py`` and its bounds serve as they are, with m = |x| + |y| + 2.
+camera's rotation (which need not be exactly orthonormal) and the scale below. A pixel's ray is d = R (x, y, 1) with x =
+(column - cx) / fx and y = (row - cy) / fy, or x and y of the camera's table of rays, in the frame h = (x, -y, 1) for
+the edges and (x, -y, -1) for the plane, whatever its depth. So ``records.py`` and its bounds serve as they are,
+with m = |x| + |y| + 2.
 
 Every quantity of the frame is relative to the camera, so its scale S only has to keep the "1 +" of the bounds small
 against the distance of triangles, and float32 from overflowing: 2^-20 m serves from 2^-42 m to 1e24 m.
@@ -54,6 +55,10 @@ class Grid:
     rows: wp.array(dtype=float)
     columns64: wp.array(dtype=wp.float64)  # x and y
     rows64: wp.array(dtype=wp.float64)
+    # Of a camera with a table of rays the axes are the grid's alone (``primary_rays.py``).
+    tabled: int
+    table: wp.array(dtype=wp.vec2)  # x and y of each pixel's ray
+    tile_of: wp.array(dtype=int)  # the sorting tile that it lies in, -1 where there is none
 
 
 def make_camera_frame(camera: Camera) -> LightFrame:

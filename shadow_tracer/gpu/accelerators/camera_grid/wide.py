@@ -58,7 +58,7 @@ _TRACE = (
     };
     auto finish = [&](int pixel, int triangle, bool sure, float q, float slack) {
         double d[3];
-        direction(column0 + pixel % 8, row0 + pixel / 8, d);
+        direction(grid.columns64.data[column0 + pixel % 8], grid.rows64.data[row0 + pixel / 8], d);
         if (!sure) {
             ++retested;
             if (!meets(triangle, d))

@@ -4,6 +4,7 @@ each is what a depth camera renders that is made for it alone."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,8 @@ def _steps(seed: int) -> list[tuple[tuple[Any, ...], Camera]]:
         width, height = (int(size) for size in rng.choice(_SIZES, 2))
         shift = np.eye(4)
         shift[:3, 3] = rng.normal(0.0, 0.3, 3)
-        found.append((step.changes, Camera(width, height, max(width, 2), max(width, 2), width / 2, height / 2, shift)))
+        camera = Camera(width, height, max(width, 2), max(width, 2), width / 2, height / 2, shift)
+        found.append((step.changes, replace(camera, rays=sequences.any_rays(rng.spawn(1)[0], camera))))
     return found
 
 
