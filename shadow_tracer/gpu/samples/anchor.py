@@ -19,7 +19,7 @@ def depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], p
     if depth.dtype == np.uint16:
         z /= 1000.0
     x, y = camera.ways(rows, columns)
-    seen = np.isfinite(z) & (z > 0.0) & np.isfinite(x)
+    seen = np.isfinite(z) & (z > 0.0)
     if not seen.any():
         return previous or make_anchor(camera.position, 1.0, None)
     # A few samples at the end of the world must not make all others small: float32 could not tell them apart. A
@@ -27,7 +27,7 @@ def depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], p
     seen &= z <= 30.0 * float(np.quantile(z[seen], 0.98))
     z = z[seen]
     local = np.stack([x[seen] * z, y[seen] * z, z])
-    local = local[:, (np.abs(local) <= LARGEST).all(axis=0)]  # what lies farther is no sample
+    local = local[:, (np.abs(local) <= LARGEST).all(axis=0)]  # what lies farther, or has no ray, is no sample
     if local.size == 0:
         return previous or make_anchor(camera.position, 1.0, None)
     low, high = local.min(axis=1), local.max(axis=1)
