@@ -172,7 +172,8 @@ class ShadowTracer:
         camera = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
         light = PointLight("lamp", (0.0, 0.0, 0.0))
         for depth in (np.full((1, 1), 2.0, np.float32), np.full((1, 1), 2000, np.uint16)):
-            self._engine.trace_depth(scene, depth, camera, [light], (0.0, 0.0), second)
+            for bias in (Bias(0.0), Bias(0.0, normal=1.0)):
+                self._engine.trace_depth(scene, depth, camera, [light], bias, second)
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
         self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, second=second)
 
@@ -344,8 +345,7 @@ class ShadowTracer:
         self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias, second: bool = False
     ) -> Frame:
         """A frame by the tracer's own pipeline, or by the second one."""
-        start = bias.constant, bias.quadratic
-        result = self._engine.trace_depth(self.scene, image, camera, lights, start, second)
+        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, second)
         reached = {
             light.name: (result.reached[number].reshape(image.shape), light.samples)
             for number, light in enumerate(lights)

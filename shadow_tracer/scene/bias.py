@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where rays start: a little before their sample."""
+"""Where rays start: a little before their sample, and a little off its surface."""
 
 from __future__ import annotations
 
@@ -15,9 +15,15 @@ class Bias:
     Measured depth lies before and behind the true surface, so without a bias surfaces shadow themselves; stereo and
     structured light noise grows with z squared.
 
+    Light that grazes a surface stays near to it for longer than that. ``normal`` first moves the samples of a depth
+    image along the normal of their surface, towards the camera, by ``normal`` times the same length. The normals are
+    those of the image (:func:`shadow_tracer.scene.normals.depth_normals`); pixels without one stay, and so do points,
+    which have none.
+
     Args:
         constant: metres, at least 0.
         quadratic: metres per square metre, at least 0.
+        normal: how often that length along the normal, at least 0.
 
     Raises:
         ValueError: a value is negative or not finite; the message names it.
@@ -25,9 +31,10 @@ class Bias:
 
     constant: float = 0.01
     quadratic: float = 0.0
+    normal: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("constant", "quadratic"):
+        for name in ("constant", "quadratic", "normal"):
             value = finite(getattr(self, name), f"bias.{name}")
             if not 0.0 <= value <= LARGEST:
                 raise ValueError(f"bias.{name}: expected a number from 0 to {LARGEST:g}, got {value!r}")

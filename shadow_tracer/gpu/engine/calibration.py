@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from shadow_tracer.gpu.engine.automatic import BRUTE_FORCE, Chooser, Situation
+from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.lights import Light, PointLight
@@ -24,9 +25,7 @@ _POSITIONS = 1
 class Tracing(Protocol):
     """What this needs of the engine."""
 
-    def trace_depth(
-        self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: tuple[float, float]
-    ) -> Any:
+    def trace_depth(self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: Bias) -> Any:
         """Trace a frame."""
 
 
@@ -47,7 +46,7 @@ def calibrate(engine: Tracing, chooser: Chooser, bounds: Bounds) -> None:
             times = []
             for frame in range(_FRAMES + 1):
                 begin = time.perf_counter()
-                engine.trace_depth(scene, depth, camera, lights, (0.01, 0.0))
+                engine.trace_depth(scene, depth, camera, lights, Bias(0.01))
                 times.append((time.perf_counter() - begin) * 1e3)
                 scene.deform("sheet", vertices + 0.001 * frame)
             situation = Situation(_POSITIONS, depth.size, len(triangles), 1, True)

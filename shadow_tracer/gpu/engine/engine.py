@@ -24,6 +24,8 @@ from shadow_tracer.gpu.engine.calibration import calibrate
 from shadow_tracer.gpu.engine.cuts import share_count
 from shadow_tracer.gpu.engine.frame import FrameTracer, Loaded
 from shadow_tracer.gpu.engine.gather import Traced
+from shadow_tracer.gpu.samples.held import Source
+from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
@@ -179,12 +181,12 @@ class Engine:
         depth: np.ndarray,
         camera: Camera,
         lights: Sequence[Light],
-        bias: tuple[float, float],
+        bias: Bias,
         second: bool = False,
     ) -> Traced:
         """States of all pixels for all lights, by the second pipeline if so wished. Arguments have been checked:
         float32 metres or uint16 millimetres, C order."""
-        frame = (depth.dtype.name, scene.triangle_count > 0)
+        frame = (Source.of(depth, bias).name, scene.triangle_count > 0)
         return self._trace(lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), second, frame)
 
     def trace_points(

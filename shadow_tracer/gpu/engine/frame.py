@@ -28,19 +28,20 @@ from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.anchor import depth_anchor, points_anchor
-from shadow_tracer.gpu.samples.held import Samples, depth_of
+from shadow_tracer.gpu.samples.held import Samples, Source
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 from shadow_tracer.gpu.visibility import sphere_points
 from shadow_tracer.gpu.visibility.packed_states import PackedStates
 from shadow_tracer.gpu.visibility.planes import StatePlanes
+from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.lights import HardLight, Light, SphereLight
 from shadow_tracer.scene.mesh import Scene
 
-# A pipeline and variant, the format of the depth image it makes samples of, and whether there were triangles.
+# A pipeline and variant, what it makes samples of (``Source.name``), and whether there were triangles.
 Loaded = tuple[Names, str | None, bool]
 
 
@@ -181,7 +182,7 @@ class FrameTracer:
         return self._samples.holds(depth)
 
     def trace_depth(
-        self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: tuple[float, float]
+        self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: Bias
     ) -> Traced:
         """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
         order."""
@@ -197,7 +198,7 @@ class FrameTracer:
                 self._samples.put_depth(self._frames(working), depth, camera, bias)
         self._anchor = depth_anchor(depth, camera, bias, self._anchor)
         caught_up = all(share.followed == before for share in working)
-        traced = self._trace_all(working, lights, depth.dtype if new else None)
+        traced = self._trace_all(working, lights, Source.of(depth, bias) if new else None)
         self._learn(situation if caught_up and not self._cold else None, begin)
         if new and not self._cold and len(team) > 1:
             self._balances[team[0].names].learn([share.busy for share in team])
@@ -268,7 +269,7 @@ class FrameTracer:
         after = self._scene.revision
         return 0 if after == before else 1 if after.topology == before.topology else 2
 
-    def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Any) -> Traced:
+    def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Source | None) -> Traced:
         for share in working:
             share.follow()
         if not sphere_points.is_soft(lights):
@@ -283,8 +284,8 @@ class FrameTracer:
         states, reached = tally.result()
         return Traced(states, traced.stages, counters, reached)
 
-    def _trace_lights(self, working: list[Share], lights: Sequence[HardLight], source: Any) -> Traced:
-        """``source`` is the format of the depth image that samples are to be made of, None if there are some."""
+    def _trace_lights(self, working: list[Share], lights: Sequence[HardLight], source: Source | None) -> Traced:
+        """``source``: what samples are to be made of, None if there are some."""
         assert self._anchor is not None
         light_frames = [make_light_frame(light, self._anchor, index) for index, light in enumerate(lights)]
         for frame in {id(frame): frame for frame in (self._frame, *self._frames(working))}.values():
@@ -325,18 +326,19 @@ class FrameTracer:
         )
         return [Pass(tuple(light_frames[first : first + together])) for first in range(0, len(light_frames), together)]
 
-    def _launch(self, working: list[Share], passes: Sequence[Pass], source: Any, stale: Sequence[bool]) -> None:
+    def _launch(
+        self, working: list[Share], passes: Sequence[Pass], source: Source | None, stale: Sequence[bool]
+    ) -> None:
         """Everything of a frame between upload and download, further passes aside."""
         first = working[0]
         # Warp loads kernels when they are first launched, and not in two threads at once. Whatever a first frame holds,
         # it needs those of all further ones; but an empty scene needs fewer.
-        kernels = (first.names, None if source is None else np.dtype(source).name, self._scene.triangle_count > 0)
+        kernels = (first.names, None if source is None else source.name, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
         self._cold |= not loaded
         if self._use_graphs and first.pipeline.recordable:
             frame, scene = first.frame, self._scene
-            kind = None if source is None else np.dtype(source).name
-            key = (first.names, kind, frame.count, frame.width, scene.triangle_count, scene.vertex_count)
+            key = (*kernels[:2], frame.count, frame.width, scene.triangle_count, scene.vertex_count)
 
             def launch() -> None:
                 self._context.records.expect(stale)
@@ -356,8 +358,8 @@ class FrameTracer:
         """Whether all kernels of a pipeline have been launched, but for those that make samples."""
         return any(kernels[0] == names and kernels[2] == bool(self._scene.triangle_count) for kernels in self._loaded)
 
-    def _one(self, share: Share, passes: Sequence[Pass], source: Any) -> None:
-        share.begin(None if source is None else depth_of(share.frame, source))
+    def _one(self, share: Share, passes: Sequence[Pass], source: Source | None) -> None:
+        share.begin(source)
         for work in passes:
             share.project(work)
             share.prepare(work)
@@ -367,7 +369,11 @@ class FrameTracer:
                 self._planes.pack(sum(len(work.lights) for work in passes))
 
     def _side_by_side(
-        self, working: Sequence[Share], passes: Sequence[Pass], source: Any, run: Callable[[Sequence[Job]], None]
+        self,
+        working: Sequence[Share],
+        passes: Sequence[Pass],
+        source: Source | None,
+        run: Callable[[Sequence[Job]], None],
     ) -> None:
         for number, work in enumerate(passes):
             working[0].prepare(work)
@@ -375,7 +381,7 @@ class FrameTracer:
             def job(share: Share, work: Pass = work, first: bool = number == 0) -> None:
                 begin = time.perf_counter()
                 if first:
-                    share.begin(None if source is None else depth_of(share.frame, source))
+                    share.begin(source)
                 share.project(work)
                 share.trace(work)
                 share.busy += time.perf_counter() - begin

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context, Pipeline
 from shadow_tracer.gpu.accelerators.registry import make_pipeline
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.occluders.world import Revision
-from shadow_tracer.gpu.samples import pixels, rays
+from shadow_tracer.gpu.samples import normals, pixels, rays
+from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
@@ -64,15 +64,18 @@ class Share:
         self.pipeline.follow()
         self.followed = self.context.scene.revision
 
-    def begin(self, depth: wp.array | None) -> None:
-        """Counters to zero; samples from a depth image if there is one."""
+    def begin(self, source: Source | None) -> None:
+        """Counters to zero; samples of a depth image if there are to be new ones."""
         frame = self.frame
         frame.counters.zero_()
         frame.queue_counts.zero_()
         frame.parts.zero_()
-        if depth is not None:
+        if source is not None:
+            depth = depth_of(frame, source.format)
             with self.stages.stage("unproject"):
-                pixels.unproject_image(depth, frame)
+                pixels.unproject_image(frame.mine(depth), frame)
+                if source.normals:
+                    normals.displace(depth, frame)
 
     def prepare(self, work: Pass) -> None:
         """Make what depends on scene and lights alone. It belongs to all shares: one of them does it."""

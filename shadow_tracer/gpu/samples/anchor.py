@@ -7,11 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_anchor
+from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import LARGEST, FloatArray
 
 
-def depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], previous: Anchor | None) -> Anchor:
+def depth_anchor(depth: np.ndarray, camera: Camera, bias: Bias, previous: Anchor | None) -> Anchor:
     """Anchor from a sparse look at the depth image: it needs to be near the samples, not around all of them."""
     step = max(1, min(depth.shape) // 32)
     rows, columns = np.mgrid[step // 2 : depth.shape[0] : step, step // 2 : depth.shape[1] : step]
@@ -34,9 +35,8 @@ def depth_anchor(depth: np.ndarray, camera: Camera, bias: tuple[float, float], p
     center = 0.5 * low + 0.5 * high
     world = camera.camera_to_world[:3, :3] @ center + camera.camera_to_world[:3, 3]
     # A scale of some biases keeps the biased starts from cancelling against it (project_samples).
-    return make_anchor(
-        world, max(float(np.linalg.norm(high - center)), 4.0 * (bias[0] + bias[1] * z.max() ** 2)), previous
-    )
+    start = (1.0 + bias.normal) * (bias.constant + bias.quadratic * float(z.max()) ** 2)
+    return make_anchor(world, max(float(np.linalg.norm(high - center)), 4.0 * start), previous)
 
 
 def points_anchor(

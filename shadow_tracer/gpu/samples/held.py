@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +13,28 @@ import warp as wp
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.samples.pinhole import make_pinhole
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.camera import Camera, RayTable
 from shadow_tracer.scene.checks import FloatArray
 
 Parts = list[tuple[FrameBuffers, int, int]]
+
+
+class Source(NamedTuple):
+    """What samples are to be made of: a depth image of this format; ``normals``: moved along them."""
+
+    format: str
+    normals: bool
+
+    @staticmethod
+    def of(depth: np.ndarray, bias: Bias) -> Source:
+        """For a depth image and a bias."""
+        return Source(depth.dtype.name, bias.normal > 0.0)
+
+    @property
+    def name(self) -> str:
+        """Which kernels that takes."""
+        return f"{self.format} with normals" if self.normals else self.format
 
 
 class Samples:
@@ -29,7 +47,7 @@ class Samples:
 
     def __init__(self, compare: bool) -> None:
         self._compare = compare
-        self._depth: tuple[np.dtype[Any], Parts] | None = None  # format of the image in the buffers, and where
+        self._depth: tuple[FrameBuffers, np.dtype[Any], int] | None = None  # where the image is, its format, its pixels
         self._source: tuple[Hashable, Parts] | None = None  # what the samples in the buffers were made of
         self._table: RayTable | None = None  # what the buffers' ray table holds
 
@@ -37,16 +55,12 @@ class Samples:
         """Others have written where they were."""
         self._depth = self._source = None
 
-    def has_depth(
-        self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: tuple[float, float]
-    ) -> bool:
+    def has_depth(self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: Bias) -> bool:
         """Whether the samples in ``frames`` are those of a depth image."""
         source = _look(depth, camera, bias), _parts_of(frames)
         return self._compare and self._source == source and self.holds(depth)
 
-    def put_depth(
-        self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: tuple[float, float]
-    ) -> None:
+    def put_depth(self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: Bias) -> None:
         """A depth image, (H, W) float32 metres or uint16 millimetres, C order, of which samples are to be made."""
         self.forget()
         flat = depth.reshape(-1)
@@ -57,9 +71,9 @@ class Samples:
         for frame in frames:
             frame.renew()
             frame.set_camera(make_pinhole(camera, bias, frame.first))
-            frame.upload(depth_of(frame, depth.dtype), flat[frame.first : frame.first + frame.count])
-        parts = _parts_of(frames)
-        self._depth, self._source = (depth.dtype, parts), (_look(depth, camera, bias), parts)
+        frames[0].upload(depth_of(frames[0], depth.dtype), flat)
+        self._depth = frames[0], depth.dtype, depth.size
+        self._source = _look(depth, camera, bias), _parts_of(frames)
 
     def put_points(
         self,
@@ -88,24 +102,19 @@ class Samples:
     def holds(self, depth: np.ndarray) -> bool:
         """Whether ``depth`` is, bit for bit, the depth image that came last, whatever points have come since. Waits
         for the device."""
-        flat, integer = depth.reshape(-1), np.uint32 if depth.dtype == np.float32 else np.uint16
-        kind, parts = self._depth or (None, [])
-        if kind != depth.dtype or sum(size for _, _, size in parts) != depth.size:
+        if self._depth is None or self._depth[1:] != (depth.dtype, depth.size):
             return False
-        # As bits: NaN equals NaN.
-        pairs = [
-            (depth_of(frame, kind).numpy()[:size].view(integer), flat[first : first + size].view(integer))
-            for frame, first, size in parts
-        ]
-        return _equal(pairs)
+        integer = np.uint32 if depth.dtype == np.float32 else np.uint16  # as bits: NaN equals NaN
+        held = depth_of(self._depth[0], depth.dtype).numpy()[: depth.size]
+        return _equal([(held.view(integer), depth.reshape(-1).view(integer))])
 
 
 def depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
-    """The buffer for depth images of a format."""
+    """The buffer for depth images of a format; all shares of a frame have the same one."""
     return frame.depth_metres if np.dtype(kind) == np.float32 else frame.depth_millimetres
 
 
-def _look(depth: np.ndarray, camera: Camera, bias: tuple[float, float]) -> Hashable:
+def _look(depth: np.ndarray, camera: Camera, bias: Bias) -> Hashable:
     """What samples depend on beside the measurements and their number."""
     pose = camera.camera_to_world.tobytes()
     optics = camera.width, camera.fx, camera.fy, camera.cx, camera.cy, camera.rays

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.normals import neighbours
 
 
 @wp.struct
@@ -24,14 +26,24 @@ class Pinhole:
     row2: wp.vec4d
     bias_constant: wp.float64
     bias_quadratic: wp.float64
+    bias_normal: wp.float64
+    height: wp.int32
+    # Pixels to the neighbours that a normal is made of, and how far their rays are apart at z = 1.
+    step_across: wp.int32
+    step_down: wp.int32
+    across: wp.float32
+    down: wp.float32
 
 
-def make_pinhole(camera: Camera, bias: tuple[float, float], first: int = 0) -> Pinhole:
-    """From a camera and the constant [m] and quadratic [1/m] part of the bias, for the pixels from ``first`` on."""
+def make_pinhole(camera: Camera, bias: Bias, first: int = 0) -> Pinhole:
+    """From a camera and a bias, for the pixels from ``first`` on."""
     pinhole = Pinhole()
     pinhole.width, pinhole.first, pinhole.tabled = camera.width, first, camera.rays is not None
     pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy = camera.fx, camera.fy, camera.cx, camera.cy
     rows = [wp.vec4d(*row) for row in camera.camera_to_world[:3]]
     pinhole.row0, pinhole.row1, pinhole.row2 = rows
-    pinhole.bias_constant, pinhole.bias_quadratic = bias
+    pinhole.bias_constant, pinhole.bias_quadratic, pinhole.bias_normal = bias.constant, bias.quadratic, bias.normal
+    pinhole.height = camera.height
+    pinhole.step_across, pinhole.across = neighbours(camera.fx)
+    pinhole.step_down, pinhole.down = neighbours(camera.fy)
     return pinhole

@@ -69,8 +69,13 @@ class FrameBuffers:
         self.upload: Uploads = whole.upload if whole else Uploads(device)
         self.host = HostCopies(device, mirrored)
         rays = bounds.max_rays if whole else shares * share_of(bounds, shares).max_rays
-        self.depth_metres = take("depth_metres", rays, wp.float32)
-        self.depth_millimetres = take("depth_millimetres", rays, wp.uint16)
+        # Whole images, also for shares: a normal needs pixels beyond the cuts between them.
+        self.depth_metres: wp.array = (
+            whole.depth_metres if whole else wp.empty(bounds.max_rays, dtype=wp.float32, device=device)
+        )
+        self.depth_millimetres: wp.array = (
+            whole.depth_millimetres if whole else wp.empty(bounds.max_rays, dtype=wp.uint16, device=device)
+        )
         self.samples = take("samples", rays, wp.vec4d)
         self.valid = take("valid", rays, wp.uint8)
         self.rays = take("rays", rays, wp.vec4)
@@ -118,6 +123,10 @@ class FrameBuffers:
     def rays_of(self, place: int) -> wp.array:
         """Rays of the light at ``place`` in its pass."""
         return self._slices(self.rays, place * self.count, self.count)
+
+    def mine(self, image: wp.array) -> wp.array:
+        """The pixels of a whole image that belong to these samples."""
+        return self._slices(image, self.first, self.count)
 
     def set_camera(self, pinhole: Pinhole) -> None:
         """Tell kernels the camera of this frame."""
