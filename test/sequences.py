@@ -159,7 +159,8 @@ def _pose(rng: Rng) -> np.ndarray:
 
 
 def _bias(rng: Rng) -> Bias:
-    return Bias(float(rng.choice([0.0, 0.01, 0.3])), 0.0)
+    normal = float(rng.spawn(1)[0].choice([0.0, 0.5, 3.0]))
+    return Bias(float(rng.choice([0.0, 0.01, 0.3])), 0.0, normal)
 
 
 def _query(rng: Rng, plain: bool) -> tuple[np.ndarray | None, Camera | None, np.ndarray | None]:
@@ -181,7 +182,7 @@ def _query(rng: Rng, plain: bool) -> tuple[np.ndarray | None, Camera | None, np.
     pose = _pose(rng) if rng.random() < 0.5 else np.eye(4)
     camera = Camera(width, height, 0.8 * max(width, 2), 0.8 * max(width, 2), width / 2, height / 2, pose)
     camera = replace(camera, rays=any_rays(rng.spawn(1)[0], camera))
-    depth = np.full((height, width), 8.0, np.float32)
+    depth = _slope(rng.spawn(1)[0], height, width)
     if rng.random() < 0.7:
         depth = rng.uniform(0.3, 9.0, (height, width)).astype(np.float32)
     depth[rng.random(depth.shape) < rng.choice([0.0, 0.1, 0.9])] = np.nan
@@ -199,6 +200,15 @@ def any_rays(rng: Rng, camera: Camera) -> np.ndarray | None:
     if rng.random() < 0.5:
         rays[rng.random(rays.shape[:2]) < 0.1] = np.nan
     return rays
+
+
+def _slope(rng: Rng, height: int, width: int) -> np.ndarray:
+    """A wall at 8 m, half of them at an angle and rough: their normals depend on all of their neighbours."""
+    depth = np.full((height, width), 8.0, np.float32)
+    if rng.random() < 0.5:
+        depth *= 1.0 + np.linspace(-0.2, 0.2, height, dtype=np.float32)[:, None]
+        depth *= rng.normal(1.0, 0.005, depth.shape).astype(np.float32)
+    return depth
 
 
 def _lights(rng: Rng, plain: bool) -> tuple[Any, ...]:

@@ -42,7 +42,7 @@ _BAD: list[tuple[type, str, Any]] = [
     *[(Camera, field, value) for field in ("cx", "cy") for value in (math.nan, math.inf, "centre", None)],
     *[(Camera, "camera_to_world", value) for value in _NO_POSE],
     *[(Bounds, field.name, value) for field in dataclasses.fields(Bounds) for value in _NO_BOUND],
-    *[(Bias, field, value) for field in ("constant", "quadratic") for value in _NO_BIAS],
+    *[(Bias, field, value) for field in ("constant", "quadratic", "normal") for value in _NO_BIAS],
 ]
 
 
@@ -94,7 +94,7 @@ def test_defaults_of_the_contract() -> None:
         1_048_576,
         4_194_304,
     )
-    assert (Bias().constant, Bias().quadratic) == (0.01, 0.0)
+    assert (Bias().constant, Bias().quadratic, Bias().normal) == (0.01, 0.0, 0.0)
     states = [("LIT", 0), ("SHADOWED", 1), ("OUTSIDE", 2), ("INVALID", 3), ("PENUMBRA", 4)]
     assert [(s.name, s.value) for s in State] == states
     assert issubclass(BoundsError, ValueError)

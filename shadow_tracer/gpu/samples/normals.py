@@ -52,8 +52,8 @@ _FLOAT_ARITHMETIC = (
 """
 )
 
-# From the sums w x y xx xy yy d xd yd of a pixel, its inverse depth s and its ray (across, down, 1): its sample,
-# `moved`, and whether there is a normal, and room beyond.
+# The sums w x y xx xy yy d xd yd of a pixel, its inverse depth s and its ray (across, down, 1) say where its sample is
+# `moved` to, and whether that is `good`: there is a normal, and room beyond.
 _MOVE = r"""
         const double mxx = sub(mul(w, xx), mul(x, x)), myy = sub(mul(w, yy), mul(y, y));
         const double mxy = sub(mul(w, xy), mul(x, y));
