@@ -56,7 +56,7 @@ def expected(
     camera = camera or Camera(width, height, FOCAL, FOCAL, (width - 1) / 2, (height - 1) / 2)
     tracer = _tracer()
     tracer.scene.put("mesh", vertices, triangles)
-    frame = tracer.trace(depth, camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=Bias(0.02, 0.003))
+    frame = tracer.trace(depth, camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=Bias(0.02, 0.003, 0.6))
     return frame.mask(unknown=UNKNOWN)
 
 

@@ -41,7 +41,7 @@ from shadow_tracer.ros.parameters import settings_from
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 525.0
 LAMP = (0.4, -0.3, 0.2)
-BIAS = Bias(0.02, 0.003)
+BIAS = Bias(0.02, 0.003, 0.6)  # the node's default
 _WARM_UP = 5
 
 
@@ -79,7 +79,8 @@ class Measurement:
 
     def __init__(self, processes: bool) -> None:
         overrides = {"light_names": ["lamp"], "lights.lamp.position": list(LAMP), "pose_source": "parameter"}
-        overrides |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic, "device": "cpu"}
+        overrides |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic}
+        overrides |= {"bias.normal": BIAS.normal, "device": "cpu"}
         self.node: ShadowNode | None = None
         self.process: subprocess.Popen[bytes] | None = None
         if processes:

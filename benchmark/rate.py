@@ -265,7 +265,7 @@ def compare(case: Case, samples: Path) -> tuple[int, int]:
 def measure(case: Case, rate: float, seconds: float) -> dict[str, Any]:
     """Run a node and a publisher; a line of the table."""
     values = {"light_names": ["lamp"], "lights.lamp.position": list(LAMP), "device": "cpu"}
-    values |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic}
+    values |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic, "bias.normal": BIAS.normal}
     if case.every:
         values["process"] = "every"
     if case.taken_best_effort:

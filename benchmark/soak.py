@@ -194,6 +194,7 @@ class Soak:
         rng = self.rng
         choices: dict[str, Any] = {
             "bias.quadratic": rng.uniform(0.0, 0.01),
+            "bias.normal": rng.choice((0.0, 0.6, 2.0)),
             "lights.lamp.position": [rng.uniform(-1, 1), rng.uniform(-1, 0), 0.0],
             "lights.lamp.range": rng.choice((0.0, 2.2, 1e6)),
             "lights.lamp.enabled": rng.random() < 0.8,

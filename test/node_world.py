@@ -12,7 +12,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from shadow_tracer import Bias, Bounds, Camera, ShadowTracer
 from shadow_tracer.testing.messages import pose_msg as pose_msg  # for those who import it from here
 
-BIAS = Bias(0.02, 0.003)  # the node's default
+BIAS = Bias(0.02, 0.003, 0.6)  # the node's default
 UNKNOWN = 77
 
 

@@ -25,6 +25,7 @@ def parameters(sequence: Sequence, pipeline: str, variant: str, device: str) -> 
         "pose_source": "topic",
         "bias.constant": sequence.bias[0],
         "bias.quadratic": sequence.bias[1],
+        "bias.normal": 0.0,  # the bias of a sequence is made for rays alone
         "mask.unknown_value": UNKNOWN_VALUE,
         "light_names": [light.name for light in sequence.lights],
     }

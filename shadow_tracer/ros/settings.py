@@ -90,6 +90,7 @@ class Settings:
     lights: tuple[LightSettings, ...]
     bias_constant: float
     bias_quadratic: float
+    bias_normal: float
     front_face_culling: bool
     unknown_value: int
     mask_publish: str
@@ -118,8 +119,8 @@ class Settings:
 
     @property
     def bias(self) -> Bias:
-        """Bias of the shadow test, ``constant + quadratic * z^2`` [m]."""
-        return Bias(constant=self.bias_constant, quadratic=self.bias_quadratic)
+        """Bias of the shadow test, ``constant + quadratic * z^2`` [m], and along normals."""
+        return Bias(constant=self.bias_constant, quadratic=self.bias_quadratic, normal=self.bias_normal)
 
     @property
     def enabled_lights(self) -> tuple[LightSettings, ...]:

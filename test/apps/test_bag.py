@@ -140,7 +140,8 @@ def test_masks_are_those_of_the_library(drive: tuple[Path, list[np.ndarray]], tm
         lights = [PointLight("lamp", (0.4, -0.7, 0.3), range=2.4), SpotLight("spot", spot[:3, 3], spot[:3, 0], 0.3)]
         message = sent[DEPTH][k]
         kind = np.float32 if message.encoding == "32FC1" else np.uint16
-        frame = tracer.trace(message.data.view(kind).reshape(H, W), camera(to_world), lights, bias=Bias(0.01, 0.002))
+        bias = Bias(0.01, 0.002, 0.6)
+        frame = tracer.trace(message.data.view(kind).reshape(H, W), camera(to_world), lights, bias=bias)
         for topic, name in (("mask/lamp", "lamp"), ("mask/spot", "spot"), ("mask", None)):
             answer = found[f"/shadow_tracer/{topic}"][k]
             assert repr(answer.header) == repr(message.header) and (answer.encoding, answer.step) == ("mono8", W)

@@ -151,6 +151,11 @@ class Bench:
         assert (msg.encoding, msg.step) == ("mono8", msg.width)
         return np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.width)
 
+    def floor(self, height: float, x: float = 0.0, y: float = 0.0) -> np.ndarray:
+        """The points of :func:`floor`, moved up as far as the file's bias along the normal says."""
+        assert self.rig.node is not None
+        return floor(height, x, y) + (0.0, 0.0, self.rig.node.settings.bias.normal * self.bias_at(height))
+
     def check_lights(
         self, stamp: int, points: np.ndarray, lamps: dict[str, Lamp], rectangles: Sequence[Rectangle]
     ) -> None:
@@ -231,7 +236,7 @@ def test_rover_sun_shadows_fall_where_the_sun_throws_them(bench: Bench, hours: i
     plates = [flat(0.0, 0.0, 0.6, 0.5), flat(1.2, -0.7, 0.3, 0.2)]
     bench.rig.send_mesh(*mesh_of(plates))
     mask = bench.rig.trace(wall(distance=4.0), stamp=NOON + hours * 3600 * SECOND)
-    check(mask, floor(4.0), [Lamp(direction=sunlight(hours))], plates)
+    check(mask, bench.floor(4.0), [Lamp(direction=sunlight(hours))], plates)
     assert mask[0, 0] == 128  # no depth
 
 
@@ -256,7 +261,11 @@ def test_rover_sun_rocks_that_only_the_camera_sees_cast_shadow(bench: Bench) -> 
     mask = bench.rig.trace(depth, stamp=NOON - 4 * 3600 * SECOND)
     rock = pixels(depth)[np.ravel_multi_index((23, 31), depth.shape)] * (1.0, -1.0, -1.0) + (0.0, 0.0, 4.0)
     way = np.array(sunlight(-4.0))
-    u, v = (rock - way * rock[2] / way[2])[:2] * (1.0, -1.0) / 4.0 * FOCAL + ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+    bias = bench.rig.node.settings.bias.normal * bench.bias_at(4.0)
+    u, v = (rock - way * (rock[2] - bias) / way[2])[:2] * (1.0, -1.0) / 4.0 * FOCAL + (
+        (WIDTH - 1) / 2,
+        (HEIGHT - 1) / 2,
+    )
     column, row = round(u), round(v)
     assert column < 26 and (mask[row - 1 : row + 2, column - 1 : column + 2] == 0).all()  # the sun is in the east
     assert (mask[:, 42:] == 255).all() and (mask[20:28, 28:36] == 255).all()
@@ -279,7 +288,7 @@ def test_uv_lamp_each_part_of_the_tube_has_its_own_shadow(bench: Bench) -> None:
             for name, height in (("bottom", 0.167), ("middle", 0.5), ("top", 0.833))
         }
         stamp = bench.rig.send_frame(wall(distance=4.0))
-        bench.check_lights(stamp, floor(4.0, 0.6), lamps, [wall_of_30_cm])
+        bench.check_lights(stamp, bench.floor(4.0, 0.6), lamps, [wall_of_30_cm])
         assert bench.rig.mask_of(stamp)[0, 0] == 0  # no depth is not reached
 
 
@@ -375,11 +384,11 @@ def test_second_sensor_sees_what_nothing_hides_from_it(bench: Bench) -> None:
         bench.move("base_link", "wrist_camera_link", stamp + seconds * SECOND, (x, 0.0, 1.0), down)
     stamp = rig.send_frame(wall(distance=3.0), stamp=stamp + SECOND // 2)
     lamps = {"lidar": Lamp((0.0, 0.0, 1.2), range=30.0), "wrist_camera": Lamp((0.6, 0.0, 1.0), angle=0.6, range=3.0)}
-    bench.check_lights(stamp, floor(3.0, 0.5), lamps, plates)
+    bench.check_lights(stamp, bench.floor(3.0, 0.5), lamps, plates)
     assert rig.mask_of(stamp)[0, 0] == 128
     assert rig.set(lights__wrist_camera__enabled=False) == ""
     stamp = rig.send_frame(wall(distance=3.0), stamp=stamp + 1)
-    check(rig.mask_of(stamp), floor(3.0, 0.5), [lamps["lidar"]], plates)
+    check(rig.mask_of(stamp), bench.floor(3.0, 0.5), [lamps["lidar"]], plates)
 
 
 @uses("second_sensor_line_of_sight")
@@ -407,15 +416,15 @@ def test_indoor_lights_each_lamp_has_its_own_shadow(bench: Bench) -> None:
     plates = [flat(0.0, 0.8, 0.7, 0.25), flat(-0.8, 0.2, 1.0, 0.2)]
     rig.send_mesh(*mesh_of(plates))
     stamp = rig.send_frame(wall(distance=4.0))
-    bench.check_lights(stamp, floor(4.0, 0.0, 0.5), lamps, plates)
+    bench.check_lights(stamp, bench.floor(4.0, 0.0, 0.5), lamps, plates)
     assert (rig.mask_of(stamp).ravel()[1:] == 255).all()  # each place is reached by some lamp
     for name in ("ceiling_left", "window"):
         assert rig.set(**{f"lights__{name}__enabled": False}) == ""
     mask = rig.trace(wall(distance=4.0))
-    check(mask, floor(4.0, 0.0, 0.5), [lamps["ceiling_right"], lamps["desk"]], plates)
+    check(mask, bench.floor(4.0, 0.0, 0.5), [lamps["ceiling_right"], lamps["desk"]], plates)
     assert rig.set(lights__desk__position=[0.5, 1.0, 1.2], lights__ceiling_right__enabled=False) == ""
     mask = rig.trace(wall(distance=4.0))
-    check(mask, floor(4.0, 0.0, 0.5), [replace(lamps["desk"], position=(0.5, 1.0, 1.2))], plates)
+    check(mask, bench.floor(4.0, 0.0, 0.5), [replace(lamps["desk"], position=(0.5, 1.0, 1.2))], plates)
 
 
 # The robot's own shadow
@@ -453,7 +462,7 @@ def test_robot_self_shadow_is_left_out_wherever_the_robot_and_its_links_are(benc
         left_out = bench.rig.trace(wall(distance=4.0), stamp=stamp)
         assert left_out[0, 0] == 1  # no depth: left out by who asks for 0, kept by who asks for above 127
         sun = Lamp(direction=from_north(sunlight(3.0)))
-        check(255 - left_out, floor(4.0), [sun], [flat(x, y, 0.6, 0.4)], bench.bias_at(4.0))
+        check(255 - left_out, bench.floor(4.0), [sun], [flat(x, y, 0.6, 0.4)], bench.bias_at(4.0))
         np.testing.assert_array_equal(bench.rig.mask_of(stamp, "sun"), left_out)
         depth = bench.rig.until(
             lambda stamp=stamp: next((m for m in depths if nanoseconds(m.header.stamp) == stamp), None)
@@ -479,7 +488,7 @@ def test_robot_self_shadow_by_night_is_that_of_the_lamp(bench: Bench) -> None:
     assert (bench.rig.trace(wall(distance=4.0), stamp=midnight).ravel()[1:] == 255).all()  # as the page says
     assert bench.rig.set(lights__sun__enabled=False, lights__lamp__enabled=True, mask__dilate=0) == ""
     mask = bench.rig.trace(wall(distance=4.0), stamp=midnight + SECOND)
-    check(255 - mask, floor(4.0), [Lamp((0.0, 0.0, 1.5))], [flat(0.3, 0.1, 0.6, 0.2)], bench.bias_at(4.0))
+    check(255 - mask, bench.floor(4.0), [Lamp((0.0, 0.0, 1.5))], [flat(0.3, 0.1, 0.6, 0.2)], bench.bias_at(4.0))
 
 
 @uses("robot_self_shadow")

@@ -94,7 +94,7 @@ def test_masks_are_those_of_the_library() -> None:
             rig.send_mesh(vertices, corners)
             stamp = rig.send_frame(depth)
             tracer.scene.put("mesh", vertices, corners)
-            frame = tracer.trace(depth, camera, lights, bias=Bias(0.01, 0.002))
+            frame = tracer.trace(depth, camera, lights, bias=Bias(0.01, 0.002, 0.6))
             np.testing.assert_array_equal(rig.mask_of(stamp), frame.mask(unknown=UNKNOWN))
             for name in names:
                 mask = rig.mask_of(stamp, name)
@@ -127,7 +127,7 @@ def test_a_mesh_in_a_moving_frame_moves_without_being_sent_again() -> None:
             pose[:3, 3] = (x, 0.1, 0.0)
             tracer.scene.put("mesh", *plate(), pose=pose)
             camera = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, pose)
-            frame = tracer.trace(wall(), camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=0.02)
+            frame = tracer.trace(wall(), camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=Bias(0.02, normal=0.6))
             masks.append(rig.trace(wall()))
             np.testing.assert_array_equal(masks[-1], frame.mask())
         rig.until(lambda: rig.value(PROCESSING, "traced") == "3")

@@ -6,10 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from compressed_images import compressed_msg
-from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, image_msg, info_msg, nanoseconds, plate, reliable, wall
+from harness import FOCAL, HEIGHT, WIDTH, Rig, image_msg, info_msg, nanoseconds, plate, reliable, wall
+from node_world import BIAS
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer
+from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
 from shadow_tracer.ros.answer import Answer
 from shadow_tracer.ros.compressed_depth import decode
 from shadow_tracer.ros.diagnostics import DEPTH, ERROR, OK, PROCESSING
@@ -29,8 +30,7 @@ def library(depth: np.ndarray, camera: Camera | None = None) -> np.ndarray:
     tracer = ShadowTracer(device="cpu", bounds=Bounds(max_triangles=64, max_rays=WIDTH * HEIGHT, queue_capacity=4096))
     tracer.scene.put("mesh", *plate())
     camera = camera or Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
-    bias = Bias(SMALL.get("bias.constant", 0.02), SMALL.get("bias.quadratic", 0.003))
-    return tracer.trace(depth, camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=bias).mask()
+    return tracer.trace(depth, camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=BIAS).mask()
 
 
 @pytest.mark.parametrize("codec", ["png", "rvl"])

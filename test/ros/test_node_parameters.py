@@ -73,6 +73,7 @@ CHANGES: list[tuple[str, Any, dict[str, Any]]] = [
     ("bias.constant", 0.9, PLAIN),
     ("bias.constant", 1, PLAIN),
     ("bias.quadratic", 0.1, {"bias.constant": 0.5}),
+    ("bias.normal", 0.0, {"bias.constant": 0.5}),
     ("mask.unknown_value", 99, PLAIN),
     ("lights.lamp.type", "directional", PLAIN),
     ("lights.lamp.type", "spot", PLAIN),

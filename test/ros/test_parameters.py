@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadow_tracer import Bounds, DirectionalLight, PointLight, SpotLight
+from shadow_tracer import Bias, Bounds, DirectionalLight, PointLight, SpotLight
 from shadow_tracer.ros import parameters
 from shadow_tracer.ros.former_names import renamed
 from shadow_tracer.ros.parameters import ParameterError, problems_in, settings_from, unknown_names
@@ -24,7 +24,7 @@ def test_defaults_make_settings() -> None:
     settings = settings_from({})
     assert settings.pipeline == "light_grid" and settings.tracer_device is None
     assert settings.bounds == Bounds()
-    assert (settings.bias.constant, settings.bias.quadratic) == (0.02, 0.003)
+    assert settings.bias == Bias(0.02, 0.003, 0.6)
     assert [light.name for light in settings.enabled_lights] == ["lamp"]
     assert not settings.needs_tf
 
@@ -82,6 +82,10 @@ BAD = [
     ("bias.constant", True, "bias.constant: expected double (0 to 1 m), got True"),
     ("bias.constant", "0.1", "bias.constant: expected double (0 to 1 m), got '0.1'"),
     ("bias.quadratic", -1.0, "bias.quadratic: expected double (0 to 0.1 1/m), got -1.0"),
+    ("bias.normal", -0.1, "bias.normal: expected double (0 to 2), got -0.1"),
+    ("bias.normal", 2.1, "bias.normal: expected double (0 to 2), got 2.1"),
+    ("bias.normal", math.inf, "bias.normal: expected double (0 to 2), got inf"),
+    ("bias.normal", "on", "bias.normal: expected double (0 to 2), got 'on'"),
     ("front_face_culling", "on", "front_face_culling: expected bool, got 'on'"),
     ("mask.unknown_value", 255, "mask.unknown_value: expected integer (0 to 254), got 255"),
     ("mask.unknown_value", 1.0, "mask.unknown_value: expected integer"),

@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from harness import NodeProcess, Rig, plate, wall
+from node_world import BIAS
 from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer
+from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
 from shadow_tracer.ros.diagnostics import DEVICE, ERROR, OK, PROCESSING
 from shadow_tracer.ros.node import spin
 
@@ -144,7 +145,7 @@ def test_masks_over_real_topics_and_a_malformed_request() -> None:
         tracer = ShadowTracer(device="cpu", bounds=Bounds(max_triangles=100, max_rays=5000, queue_capacity=1000))
         tracer.scene.put("mesh", vertices, triangles)
         camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
-        frame = tracer.trace(wall(), camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=Bias(0.02, 0.003))
+        frame = tracer.trace(wall(), camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=BIAS)
         np.testing.assert_array_equal(mask, frame.mask())
         assert rig.status(DEVICE) and rig.reports[-1].status[0].name == "front/shadow_tracer: input depth"
         client = rig.friend.create_client(SetParameters, "shadow_tracer/set_parameters")
