@@ -159,13 +159,14 @@ def _recorded(
     mesh = folder / "meshes" / f"rgbd_{name}_fused.npz" if folder else None
     if folder is None or mesh is None or not mesh.is_file():
         return None
-    shots = tuple(_shot(folder / "rgbd" / name, first + k * step, max(1, 512 // size)) for k in range(4))
+    shots = tuple(recorded_shot(folder / "rgbd" / name, first + k * step, max(1, 512 // size)) for k in range(4))
     archive = np.load(mesh)
     positions = np.stack([archive["vertices"].astype(np.float64) + shift * bias * 1e-3 for shift in range(4)])
     return View(name, positions, archive["triangles"], shots[0].camera, PointLight("lamp", light), bias, recorded=shots)
 
 
-def _shot(folder: Path, number: int, step: int) -> Shot:
+def recorded_shot(folder: Path, number: int, step: int) -> Shot:
+    """Every ``step``-th pixel of a frame in a folder of recorded ones."""
     from PIL import Image
 
     with Image.open(folder / f"{number:06d}.depth.png") as image:
