@@ -64,11 +64,13 @@ def test_surfaces_on_either_side_of_a_step_do_not_mix() -> None:
 
 
 def test_there_is_none_where_neighbours_lie_on_a_line() -> None:
-    """A pole of three pixels across, a row, a column, a pixel; and what is invalid."""
+    """A pole of three pixels across, a diagonal, a row, a column, a pixel; and what is invalid."""
     depth = np.full((72, 96), 2.0, np.float32)
     depth[:, 41:44] = 1.0
     has = np.isfinite(depth_normals(depth, _CAMERA)).all(axis=-1)
     assert not has[:, 41:44].any() and has[:, :41].all() and has[:, 44:].all()
+    diagonal = np.where(np.subtract.outer(np.arange(72), np.arange(96)) == 0, 2.0, np.nan).astype(np.float32)
+    assert np.isnan(depth_normals(diagonal, _CAMERA)).all()
     for shape in ((1, 96), (72, 1), (1, 1)):
         camera = replace(_CAMERA, height=shape[0], width=shape[1])
         assert np.isnan(depth_normals(np.full(shape, 2.0, np.float32), camera)).all()

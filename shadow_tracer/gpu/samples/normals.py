@@ -127,13 +127,11 @@ def displaced(  # noqa: F811, an overload
 def displace_samples(
     cameras: wp.array(dtype=Pinhole),
     depth: wp.array(dtype=Any),
-    valid: wp.array(dtype=wp.uint8),
     samples: wp.array(dtype=wp.vec4d),
 ):
-    """Move all valid samples; ``depth`` is the whole image."""
+    """Move all samples that have a normal; ``depth`` is the whole image."""
     i = wp.tid()
-    if valid[i] != wp.uint8(0):
-        samples[i] = displaced(i, cameras[0], depth, samples[i])
+    samples[i] = displaced(i, cameras[0], depth, samples[i])
 
 
 wp.overload(displace_samples, {"depth": wp.array(dtype=wp.float32)})
@@ -181,7 +179,6 @@ _STRETCHES = (
         }
         const double fx = camera.fx, cx = camera.cx, down = (row - camera.cy) / camera.fy;
         Four* __restrict__ place = (Four*)(samples.data + first + i);
-        const wp::uint8* __restrict__ there = valid.data + first + i;
         for (int j = 0; j < n; ++j) {
             const float s = s_[j];
             const double* sample = place[j];
@@ -190,9 +187,8 @@ _STRETCHES = (
 """
     + _MOVE
     + r"""
-            const bool is = good & (there[j] != 0);
             for (int k = 0; k < 3; ++k)
-                place[j][k] = is ? moved[k] : place[j][k];
+                place[j][k] = good ? moved[k] : place[j][k];
         }
         i += n;
     }
@@ -207,7 +203,6 @@ def displace_block(
     count: int,
     camera: Pinhole,
     depth: wp.array(dtype=wp.float32),
-    valid: wp.array(dtype=wp.uint8),
     samples: wp.array(dtype=wp.vec4d),
 ):
     """``displace_samples`` for up to 256 pixels from ``first`` on, vectorised."""
@@ -220,7 +215,6 @@ def displace_block(  # noqa: F811, an overload
     count: int,
     camera: Pinhole,
     depth: wp.array(dtype=wp.uint16),
-    valid: wp.array(dtype=wp.uint8),
     samples: wp.array(dtype=wp.vec4d),
 ):
     """The same for millimetres."""
@@ -232,10 +226,9 @@ def displace_blocks(
     count: int,
     cameras: wp.array(dtype=Pinhole),
     depth: wp.array(dtype=Any),
-    valid: wp.array(dtype=wp.uint8),
     samples: wp.array(dtype=wp.vec4d),
 ):
-    displace_block(wp.tid() * _BLOCK, count, cameras[0], depth, valid, samples)
+    displace_block(wp.tid() * _BLOCK, count, cameras[0], depth, samples)
 
 
 wp.overload(displace_blocks, {"depth": wp.array(dtype=wp.float32)})
@@ -247,7 +240,7 @@ def displace(depth: wp.array, buffers: FrameBuffers) -> None:
     wide = forms.wide(buffers.device)
 
     def prepare() -> tuple[int, list[Any]]:
-        inputs = [buffers.pinhole, depth, buffers.valid, buffers.samples]
+        inputs = [buffers.pinhole, depth, buffers.samples]
         return (-(-buffers.count // _BLOCK), [buffers.count, *inputs]) if wide else (buffers.count, inputs)
 
     buffers.launch(displace_blocks if wide else displace_samples, (depth.ptr, buffers.count), prepare)

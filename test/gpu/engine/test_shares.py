@@ -11,7 +11,7 @@ import geometry
 import numpy as np
 import pytest
 
-from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, State
+from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer, State
 from shadow_tracer.gpu.device import sort
 from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.engine import share
@@ -136,8 +136,9 @@ def test_a_warm_up_loads_what_threads_need(names: str, monkeypatch: pytest.Monke
     tracer.warm_up()
     ways = _Ways(monkeypatch)
     for depth in (_depth(), (1000.0 * _depth()).astype(np.uint16)):
-        _states(tracer, depth)
-    assert ways.by_threads == 2 * 2 * _passes(names)
+        for bias in (Bias(), Bias(normal=1.0)):
+            tracer.trace(depth, _CAMERA, _LIGHTS, bias)
+    assert ways.by_threads == 2 * 4 * _passes(names)
 
 
 @pytest.mark.wide
