@@ -116,15 +116,16 @@ def test_kernels_are_loaded_in_one_thread(names: str, monkeypatch: pytest.Monkey
     """The first frame of its kind in one thread, be the scene empty or not; those that follow in several."""
     tracer, ways = _tracer(names), _Ways(monkeypatch)
 
-    def by_threads(bias: Bias | None = None) -> bool:
+    def by_threads(bias: Bias | None = None, nearer: float = 0.0) -> bool:
         ways.by_threads = 0
-        tracer.trace(_depth(), _CAMERA, _LIGHTS, bias)
+        tracer.trace(_depth() - np.float32(nearer), _CAMERA, _LIGHTS, bias)
         assert ways.by_threads in (0, 2 * _passes(names))
         return ways.by_threads > 0
 
     assert [by_threads() for _ in range(3)] == [False, True, True], "an empty scene"
     _with_a_ball(tracer)
     assert [by_threads() for _ in range(3)] == [False, True, True], "a scene"
+    by_threads(nearer=0.1)  # samples are made of it
     assert [by_threads(Bias(normal=1.0)) for _ in range(3)] == [False, True, True], "samples moved along normals"
     tracer.scene.clear()
     assert by_threads(), "an empty scene has been there before"
