@@ -36,7 +36,17 @@ _CHECKS = (
     "-clang-analyzer-core.UndefinedBinaryOperatorResult",
     "-clang-analyzer-security.insecureAPI.*",
 )
-_FLAGS = ("-std=c++17", "-Wall", "-Wextra", "-Wno-unknown-pragmas", "-Wno-unused-parameter", "-Wno-vla-extension")
+# Arguments that are arrays of several types.
+_ARRAYS = {"Depth": "typedef wp::array_t<float> Depth;\n"}
+_FLAGS = (
+    "-std=c++17",
+    "-Wall",
+    "-Wextra",
+    "-Wno-unknown-pragmas",
+    "-Wno-unused-parameter",
+    "-Wno-vla-extension",
+    "-Wno-bitwise-instead-of-logical",
+)
 
 
 def _structs() -> dict[str, dict[str, Any]]:
@@ -59,6 +69,9 @@ def _unit(header: str, lanes: int, structs: dict[str, dict[str, Any]]) -> str:
     needed = native.closure((f"{header}@{lanes}" if native.read(header).lanes else header,))
     text = (ROOT / ".ci" / "warp_stub.h").read_text()
     for kind in dict.fromkeys(kind for each in needed.values() for kind, _ in each.arguments):
+        if kind in _ARRAYS:
+            text += _ARRAYS[kind]
+            continue
         rooms = structs[kind]
         text += _declaration(kind, rooms.get(str(Path(header).parent), next(iter(rooms.values()))))
     return text + native.paste(needed)

@@ -66,7 +66,9 @@ EXCEPTIONS = {
     # Float64 per pixel.
     "samples.rays/project_samples": Budget(96, reason="float64: a light's frame and the sample in it"),
     "samples.pixels/unproject": Budget(80, reason="float64: the camera's pose and the sample"),
-    "samples.normals/displace_samples": Budget(80, reason="float64: a fit of nine sums, the camera's pose and the sample"),
+    "samples.normals/displace_samples": Budget(
+        80, reason="float64: a fit of nine sums, the camera's pose and the sample"
+    ),
 }
 
 

@@ -103,20 +103,29 @@ def _inverse(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 
 def _sums(inverse: npt.NDArray[np.float32], camera: Camera) -> Sums:
     """Of each pixel the sums of 1, x, y, xx, xy, yy, d, xd and yd of its neighbours, float32: x and y the distance of
-    their rays from its own, d the difference of inverse depth."""
+    their rays from its own at z = 1, d the difference of inverse depth."""
     height, width = inverse.shape
     (across, apart_x), (down, apart_y) = neighbours(camera.fx), neighbours(camera.fy)
     across, down = min(across, width), min(down, height)  # farther than that is outside, too
     padded = np.pad(inverse, ((down, down), (across, across)))
+    table = None if camera.rays is None else camera.rays.xy
+    around = None
+    if table is not None:
+        around = np.pad(table, ((down, down), (across, across), (0, 0)), constant_values=np.nan)
     limit = np.float32(LARGEST_JUMP) * inverse
     sums = [np.zeros(inverse.shape, np.float32) for _ in range(9)]
     for row in (0, 1, 2):
         for column in (0, 1, 2):
-            other = padded[row * down :, column * across :][:height, :width]
+            rows, columns = slice(row * down, row * down + height), slice(column * across, column * across + width)
+            other = padded[rows, columns]
             d = other - inverse
             counts = (other > 0.0) & (np.abs(d) <= limit)
+            x: Any = np.float32((column - 1) * np.float32(apart_x))
+            y: Any = np.float32((row - 1) * np.float32(apart_y))
+            if table is not None and around is not None:
+                x, y = np.moveaxis(around[rows, columns] - table, -1, 0)
+                counts &= ~(np.isnan(x) | np.isnan(y))  # both have a ray
             d[~counts] = 0.0
-            x, y = np.float32((column - 1) * np.float32(apart_x)), np.float32((row - 1) * np.float32(apart_y))
             terms: tuple[Any, ...] = (np.float32(1.0), x, y, x * x, x * y, y * y, d, x * d, y * d)
             for total, term in zip(sums, terms, strict=True):
                 total += np.where(counts, term, np.float32(0.0))

@@ -158,8 +158,8 @@ def snippet(*names: str, call: str, otherwise: str = "") -> str:
 def func_native(*names: str, calls: str, otherwise: str = "") -> Callable[[Callable[..., Any]], wp.Function]:
     """A native function that hands its arguments to ``calls`` of the last of the headers ``names``; see ``snippet``.
 
-    The decorator is to be written ``@native.func_native(...)``: by that name Warp knows that a function that returns
-    something is native.
+    Not for overloads: Warp looks for the others where ``wp.func_native`` is called. The decorator is to be written
+    ``@native.func_native(...)``: by that name Warp knows that a function that returns something is native.
     """
 
     def make(function: Callable[..., Any]) -> wp.Function:

@@ -16,24 +16,14 @@ from typing import Any
 
 import warp as wp
 
-from shadow_tracer.gpu.device import forms
-from shadow_tracer.gpu.exact.determinant import ARITHMETIC, transform_point
+from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.exact.determinant import transform_point
 from shadow_tracer.gpu.samples.pinhole import Pinhole
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 from shadow_tracer.scene.checks import LARGEST
 
 
-# (x, y, z) in the optical frame, and the bias; uncontracted.
-@wp.func_native(
-    ARITHMETIC
-    + r"""
-    const int pixel = camera.first + i, row = pixel / camera.width, column = pixel - row * camera.width;
-    const double across = camera.tabled ? (double)table.data[pixel][0] : (column - camera.cx) / camera.fx;
-    const double down = camera.tabled ? (double)table.data[pixel][1] : (row - camera.cy) / camera.fy;
-    const double x = mul(across, z), y = mul(down, z);
-    return wp::vec4d(x, y, z, add(camera.bias_constant, mul(camera.bias_quadratic, mul(z, z))));
-    """
-)
+@native.func_native("samples/pixels.h", calls="Pixel::sample")
 def pixel_sample(camera: Pinhole, table: wp.array(dtype=wp.vec2), i: int, z: wp.float64) -> wp.vec4d:
     """Sample of pixel ``i`` of the buffers with depth ``z`` [m], in the optical frame."""
     ...
@@ -69,53 +59,14 @@ wp.overload(unproject, {"depth": wp.array(dtype=wp.uint16)})
 
 # Pixels per thread of the vectorised loop.
 _BLOCK = 1024
-
-# The row and what depends on it alone is constant over a stretch of the image; where there is no measurement, z = 0
-# keeps the arithmetic quiet and the sample unused.
-_STRETCHES = (
-    ARITHMETIC
-    + r"""
-#if !defined(__CUDA_ARCH__)
-    const bool tabled = camera.tabled;
-    const double fx = camera.fx, cx = camera.cx, constant = camera.bias_constant, quadratic = camera.bias_quadratic;
-    const double a0 = camera.row0[0], a1 = camera.row0[1], a2 = camera.row0[2], a3 = camera.row0[3];
-    const double b0 = camera.row1[0], b1 = camera.row1[1], b2 = camera.row1[2], b3 = camera.row1[3];
-    const double c0 = camera.row2[0], c1 = camera.row2[1], c2 = camera.row2[2], c3 = camera.row2[3];
-    const int end = count - first < 1024 ? count : first + 1024;
-    typedef double Four[4];
-    for (int i = first; i < end;) {
-        const int pixel = camera.first + i, row = pixel / camera.width, column = pixel - row * camera.width;
-        const int n = camera.width - column < end - i ? camera.width - column : end - i;
-        const double level = (row - camera.cy) / camera.fy;
-        const wp::vec2* __restrict__ ray = table.data + pixel;
-        const auto* __restrict__ raw = depth.data + i;
-        Four* __restrict__ sample = (Four*)(samples.data + i);
-        wp::uint8* __restrict__ good = valid.data + i;
-        for (int j = 0; j < n; ++j) {
-            const double measured = raw[j];
-            const bool is = measured > 0.0 && measured <= 1.7976931348623157e308;
-            const double z = is ? measured / units_per_metre : 0.0;
-            const double across = tabled ? (double)ray[j][0] : ((double)(column + j) - cx) / fx;
-            const double down = tabled ? (double)ray[j][1] : level;
-            const double x = mul(across, z), y = mul(down, z);
-            const double px = add(add(add(mul(a0, x), mul(a1, y)), mul(a2, z)), a3);
-            const double py = add(add(add(mul(b0, x), mul(b1, y)), mul(b2, z)), b3);
-            const double pz = add(add(add(mul(c0, x), mul(c1, y)), mul(c2, z)), c3);
-            const double bias = add(constant, mul(quadratic, mul(z, z)));
-            sample[j][0] = px;
-            sample[j][1] = py;
-            sample[j][2] = pz;
-            sample[j][3] = bias < largest ? bias : largest;
-            good[j] = is & (absolute(px) <= largest) & (absolute(py) <= largest) & (absolute(pz) <= largest);
-        }
-        i += n;
-    }
-#endif
-"""
+native.constants(UNPROJECT_BLOCK=_BLOCK)
+_UNPROJECT = native.snippet(
+    "samples/pixels_block.h",
+    call="UnprojectBlock::block(first, count, camera, table, units_per_metre, largest, depth, samples, valid);",
 )
 
 
-@wp.func_native(_STRETCHES)
+@wp.func_native(_UNPROJECT)
 def unproject_block(
     first: int,
     count: int,
@@ -131,7 +82,7 @@ def unproject_block(
     ...
 
 
-@wp.func_native(_STRETCHES)  # type: ignore[no-redef]
+@wp.func_native(_UNPROJECT)  # type: ignore[no-redef]
 def unproject_block(  # noqa: F811, an overload
     first: int,
     count: int,

@@ -57,7 +57,7 @@ def _samples(
         frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
         pixels.unproject_image(frame.mine(array), frame)
         if scalar:
-            inputs = [frame.pinhole, array, frame.samples]
+            inputs = [frame.pinhole, frame.ray_table, array, frame.samples]
             wp.launch(normals.displace_samples, dim=end - first, inputs=inputs, device=frame.device)
         else:
             normals.displace(array, frame)
