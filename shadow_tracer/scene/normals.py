@@ -2,22 +2,23 @@
 """Normals of the surface in a depth image, and the samples that a bias moves along them.
 
 On a plane inverse depth is a linear function of the point (x, y) where a pixel's ray meets z = 1. So the normal of a
-pixel is the slope of a line fitted to nine inverse depths: its own, and those of eight neighbours about a hundredth of
+pixel is the slope of a plane fitted to nine inverse depths: its own, and those of eight neighbours about a hundredth of
 the distance away (five pixels at a focal length of 525). Noise needs neighbours that far; a slope that is off by ten
 degrees moves a sample off its surface nearly as well as the right one. Neighbours with another depth by more than a
-twentieth belong to something else and do not count. Where those that do lie on a line there is no normal: on things
-narrower than that, at steps, beside pixels without depth.
+twentieth belong to something else and do not count, nor do those without a ray. Where those that do lie on a line there
+is no normal: on things narrower than that, at steps, beside pixels without depth.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.scene.bias import Bias
-from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.camera import Camera, RayTable
 from shadow_tracer.scene.checks import LARGEST, FloatArray, unmasked_depth
 
 LARGEST_JUMP = 0.05  # relative, of inverse depth
@@ -34,6 +35,19 @@ def neighbours(focal: float) -> tuple[int, float]:
     step = max(1, round(min(_REACH * focal, _MOST_PIXELS)))
     with np.errstate(over="ignore"):
         return step, float(np.float32(step / focal))
+
+
+def focal_lengths(camera: Camera) -> tuple[float, float]:
+    """Pixels per unit of x and y at z = 1 [px]; with a table of rays those of the median pixel, 1 if it has no two."""
+    return (camera.fx, camera.fy) if camera.rays is None else _median_focal_lengths(camera.rays)
+
+
+@lru_cache(maxsize=8)
+def _median_focal_lengths(rays: RayTable) -> tuple[float, float]:
+    apart = [np.abs(np.diff(rays.xy[..., axis], axis=1 - axis)).astype(np.float64) for axis in (0, 1)]
+    known = [each[each > 0.0] for each in apart]
+    x, y = (1.0 / float(np.median(each)) if each.size else 1.0 for each in known)
+    return x, y
 
 
 def depth_normals(depth: Any, camera: Camera) -> FloatArray:
@@ -103,28 +117,25 @@ def _inverse(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 
 def _sums(inverse: npt.NDArray[np.float32], camera: Camera) -> Sums:
     """Of each pixel the sums of 1, x, y, xx, xy, yy, d, xd and yd of its neighbours, float32: x and y the distance of
-    their rays from its own at z = 1, d the difference of inverse depth."""
+    their rays from its own, d the difference of inverse depth."""
     height, width = inverse.shape
-    (across, apart_x), (down, apart_y) = neighbours(camera.fx), neighbours(camera.fy)
+    (across, apart_x), (down, apart_y) = map(neighbours, focal_lengths(camera))
     across, down = min(across, width), min(down, height)  # farther than that is outside, too
-    padded = np.pad(inverse, ((down, down), (across, across)))
-    table = None if camera.rays is None else camera.rays.xy
-    around = None
-    if table is not None:
-        around = np.pad(table, ((down, down), (across, across), (0, 0)), constant_values=np.nan)
+    border = (down, down), (across, across)
+    padded = np.pad(inverse, border)
+    ways = None if camera.rays is None else np.pad(camera.rays.xy, (*border, (0, 0)), constant_values=np.nan)
     limit = np.float32(LARGEST_JUMP) * inverse
     sums = [np.zeros(inverse.shape, np.float32) for _ in range(9)]
     for row in (0, 1, 2):
         for column in (0, 1, 2):
-            rows, columns = slice(row * down, row * down + height), slice(column * across, column * across + width)
-            other = padded[rows, columns]
+            there = slice(row * down, row * down + height), slice(column * across, column * across + width)
+            other = padded[there]
             d = other - inverse
             counts = (other > 0.0) & (np.abs(d) <= limit)
-            x: Any = np.float32((column - 1) * np.float32(apart_x))
-            y: Any = np.float32((row - 1) * np.float32(apart_y))
-            if table is not None and around is not None:
-                x, y = np.moveaxis(around[rows, columns] - table, -1, 0)
-                counts &= ~(np.isnan(x) | np.isnan(y))  # both have a ray
+            x, y = np.float32((column - 1) * np.float32(apart_x)), np.float32((row - 1) * np.float32(apart_y))
+            if camera.rays is not None and ways is not None:
+                x, y = np.moveaxis(ways[there] - camera.rays.xy, -1, 0)
+                counts &= ~np.isnan(x)
             d[~counts] = 0.0
             terms: tuple[Any, ...] = (np.float32(1.0), x, y, x * x, x * y, y * y, d, x * d, y * d)
             for total, term in zip(sums, terms, strict=True):

@@ -12,7 +12,7 @@ import pytest
 
 from shadow_tracer import Bias, Camera
 from shadow_tracer.scene.checks import LARGEST
-from shadow_tracer.scene.normals import depth_normals, displaced_samples, neighbours
+from shadow_tracer.scene.normals import depth_normals, displaced_samples, focal_lengths, neighbours
 
 _CAMERA = Camera(96, 72, 315.0, 300.0, 46.0, 36.5)  # neighbours are 3 pixels away
 
@@ -44,6 +44,26 @@ def test_of_planes(normal: tuple[float, float, float], millimetres: bool) -> Non
     assert np.linalg.norm(found - expected, axis=-1).max() < (0.05 if millimetres else 1e-3)
     way = camera.position - camera.unproject(depth / (1000.0 if millimetres else 1.0))
     assert (np.einsum("ijk,ijk->ij", found, way) > 0.0).all()
+
+
+def test_with_a_table_of_rays() -> None:
+    """Of a fisheye lens; a pixel without a ray has no normal, and its neighbours do without it. What the camera says of
+    its focal length says nothing then."""
+    lens = Camera.distorted(96, 72, 60.0, 60.0, 46.0, 36.5, "equidistant", (0.05, 0.0, 0.0, 0.0))
+    assert lens.rays is not None
+    rays = lens.rays.xy.copy()
+    rays[30, 50] = np.nan
+    camera = Camera(96, 72, 1.0, 1e9, 0.0, 0.0, rays=rays)
+    n = np.array([0.2, -0.3, 1.0])
+    found = depth_normals(_plane(camera, n, 3.0), camera)
+    assert np.isnan(found[30, 50]).all()
+    found[30, 50] = -n / np.linalg.norm(n)
+    away = np.linalg.norm(camera.pixel_rays()[..., :2], axis=-1)
+    near = away < 1.2  # farther out a neighbour is another depth than a twentieth
+    assert np.linalg.norm(found + n / np.linalg.norm(n), axis=-1)[near | np.isnan(away)].max() < 1e-3
+    one = Camera(1, 1, 1.0, 1.0, 0.0, 0.0, rays=np.full((1, 1, 2), np.nan))
+    assert focal_lengths(one) == (1.0, 1.0) and np.isnan(depth_normals(np.ones((1, 1), np.float32), one)).all()
+    assert focal_lengths(camera) == pytest.approx((60.0, 60.0), rel=0.3)
 
 
 def test_noise_turns_them_by_little() -> None:

@@ -7,7 +7,7 @@ import warp as wp
 
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.normals import neighbours
+from shadow_tracer.scene.normals import focal_lengths, neighbours
 
 
 @wp.struct
@@ -28,7 +28,7 @@ class Pinhole:
     bias_quadratic: wp.float64
     bias_normal: wp.float64
     height: wp.int32
-    # Pixels to the neighbours that a normal is made of, and how far their rays are apart at z = 1.
+    # Pixels to the neighbours that a normal is made of, and how far a pinhole's rays are apart.
     step_across: wp.int32
     step_down: wp.int32
     across: wp.float32
@@ -44,6 +44,5 @@ def make_pinhole(camera: Camera, bias: Bias, first: int = 0) -> Pinhole:
     pinhole.row0, pinhole.row1, pinhole.row2 = rows
     pinhole.bias_constant, pinhole.bias_quadratic, pinhole.bias_normal = bias.constant, bias.quadratic, bias.normal
     pinhole.height = camera.height
-    pinhole.step_across, pinhole.across = neighbours(camera.fx)
-    pinhole.step_down, pinhole.down = neighbours(camera.fy)
+    (pinhole.step_across, pinhole.across), (pinhole.step_down, pinhole.down) = map(neighbours, focal_lengths(camera))
     return pinhole

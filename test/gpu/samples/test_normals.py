@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import geometry
@@ -43,6 +44,16 @@ def _millimetres(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray
     return np.clip(1000.0 * depth.astype(np.float64), 0, 65535).astype(np.uint16)
 
 
+def _table(rng: np.random.Generator, camera: Camera, wild: bool) -> np.ndarray:
+    """Rays with a barrel distortion and some missing ones, or any rays at all."""
+    rays = camera.pixel_rays()[..., :2]
+    rays *= 1.0 + 0.2 * (rays**2).sum(axis=2, keepdims=True)
+    if wild:
+        rays = rng.uniform(-2.0, 2.0, rays.shape) * 10.0 ** rng.integers(-20, 20)
+    rays[rng.random(rays.shape[:2]) < 0.05] = np.nan
+    return rays
+
+
 def _samples(
     frame: FrameBuffers, depth: np.ndarray, camera: Camera, bias: Bias, parts: list[int], scalar: bool
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -50,6 +61,9 @@ def _samples(
     array = frame.depth_metres if depth.dtype == np.float32 else frame.depth_millimetres
     array.fill_(1)  # what lies beyond the image must not matter
     frame.upload(array, depth.reshape(-1))
+    frame.ray_table.fill_(wp.vec2(1.0, 1.0))
+    if camera.rays is not None:
+        frame.upload(frame.ray_table, camera.rays.xy.reshape(-1, 2))
     found = []
     for first, end in zip([0, *parts], [*parts, depth.size], strict=True):
         frame.set_samples(end - first, camera.width, first)
@@ -70,12 +84,17 @@ def _samples(
 @pytest.mark.parametrize("scalar", [False, True])
 @pytest.mark.parametrize("make", [_metres, _millimetres])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 1500), (1500, 1), (3, 7), (48, 64), (25, 257), (5, 1500)])
-@pytest.mark.parametrize("focal", [525.0, 250.0, 60.0, 1e-13, 1e-280, 1e12, 1e300])
-def test_bits_of_numpy(frame: FrameBuffers, shape: tuple[int, int], focal: float, make: Any, scalar: bool) -> None:
+@pytest.mark.parametrize("focal", [525.0, 250.0, 60.0, 1e-13, 1e-280, 1e12, 1e300, "table", "wild table"])
+def test_bits_of_numpy(
+    frame: FrameBuffers, shape: tuple[int, int], focal: float | str, make: Any, scalar: bool
+) -> None:
+    rays, focal = (focal, 250.0) if isinstance(focal, str) else ("", focal)
     rng = np.random.default_rng(shape[0] + int(min(focal, 1e6)))
     place = rng.uniform(-9, 9, 3) * rng.choice([1.0, 1e49])  # in a corner of all coordinates
     pose = geometry.pose_of(geometry.rotation(rng), place)
     camera = Camera(shape[1], shape[0], focal, 0.9 * focal, shape[1] / 2.1, shape[0] / 1.9, pose)
+    if rays:
+        camera = replace(camera, rays=_table(rng, camera, rays == "wild table"))
     depth = make(rng, shape)
     bias = Bias(*(float(rng.choice(values)) for values in ([0.0, 0.02, 1e50], [0.0, 0.003], [0.5, 1e-9, 3.0, 1e50])))
     parts = sorted(int(k) for k in rng.integers(0, depth.size + 1, 3))
