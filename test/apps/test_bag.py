@@ -286,15 +286,16 @@ def test_slashes_units_and_another_camera_frame(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("topic", "distortion", "raw"),
+    ("topic", "distortion", "raw", "ros1"),
     [
-        (DEPTH, "auto", False),
-        ("/camera/image_raw", "auto", True),
-        (DEPTH, "apply", True),
-        ("/camera/image_raw", "ignore", False),
+        (DEPTH, "auto", False, False),
+        ("/camera/image_raw", "auto", True, False),
+        ("/camera/image_raw", "auto", True, True),
+        (DEPTH, "apply", True, False),
+        ("/camera/image_raw", "ignore", False, False),
     ],
 )
-def test_distortion(tmp_path: Path, topic: str, distortion: str, raw: bool) -> None:
+def test_distortion(tmp_path: Path, topic: str, distortion: str, raw: bool, ros1: bool) -> None:
     """The library's masks along rays of K and D, or of P; the depth image itself casts shadow along the same."""
     model, d = "equidistant", [0.3, 0.1, -0.05, 0.02]
     message = info(W, H, SECOND, FOCAL)
@@ -305,7 +306,8 @@ def test_distortion(tmp_path: Path, topic: str, distortion: str, raw: bool) -> N
     centre = (W - 1) / 2, (H - 1) / 2
     options = parameters(distortion=distortion, occluders="depth", bias__constant=0.0, bias__quadratic=0.0)
     remap = ["--remap", f"depth/image_rect:={topic}"]
-    found = run(made.write(tmp_path / "in"), tmp_path / "out.mcap", *options, *remap)["/shadow_tracer/mask"]
+    bag = made.write_ros1(tmp_path / "in.bag") if ros1 else made.write(tmp_path / "in")
+    found = run(bag, tmp_path / "out.mcap", *options, *remap)["/shadow_tracer/mask"]
     seen = Camera.distorted(W, H, FOCAL, FOCAL, *centre, model, d) if raw else Camera(W, H, 2 * FOCAL, FOCAL, *centre)
     tracer = ShadowTracer(device="cpu", bounds=BOUNDS)
     tracer.scene.put("depth", *depth_mesh(depth_image(0), seen, 2, 0.05))
