@@ -36,7 +36,8 @@ def overlay(
         mask: (H, W) uint8 as of :meth:`Frame.mask`, 255 lit, 0 not, in between partly; whatever it says where depth is
             invalid does not matter. None: nothing is known, the relief is striped.
         fx, fy: focal lengths [px].
-        cx, cy: principal point [px].
+        cx, cy: principal point [px]. Only the grey of the relief depends on these four: for that those of a lens with
+            distortion are near enough.
 
     Returns:
         (H, W, 3) uint8 RGB; pixels without depth have the dark :data:`INVALID_COLOUR`.
