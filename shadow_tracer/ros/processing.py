@@ -111,8 +111,10 @@ class Processor:
         check_meshes(self._meshes, settings, now_ns)
         info = self._queue.info_for(frame, settings.camera_info_policy, last_chance)
         height, width = frame.depth.shape
+        # An image beyond the bounds is refused by the tracer: no table of rays is made for it.
+        raw = is_raw(info, frame.topic, settings.distortion) and frame.depth.size <= settings.max_rays
         try:
-            optics = intrinsics(info, width, height, is_raw(info, frame.topic, settings.distortion))
+            optics = intrinsics(info, width, height, raw)
         except MessageError as error:
             cure = "" if "; " in str(error) else "; correct the driver of the camera"
             raise Missing(DEPTH, f"{error}{cure}", wait=False, level=ERROR) from error

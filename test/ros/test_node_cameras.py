@@ -11,6 +11,7 @@ from node_world import BIAS
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
+from shadow_tracer.ros import messages
 from shadow_tracer.ros.answer import Answer
 from shadow_tracer.ros.compressed_depth import decode
 from shadow_tracer.ros.diagnostics import DEPTH, ERROR, OK, PROCESSING
@@ -264,6 +265,19 @@ def test_distortion_that_cannot_be_undone_gives_an_unknown_mask() -> None:
             np.testing.assert_array_equal(send_distorted(rig, MILLIMETRES, "equidistant", FISHEYE), good)
             rig.wait_status(DEPTH, OK)
         assert rig.value(PROCESSING, "faults") == "0"
+
+
+def test_an_image_beyond_the_bounds_gets_no_rays() -> None:
+    with Rig({"distortion": "apply"}) as rig:
+        size = 2 * SMALL["bounds.max_rays"], 1
+        before, stamp = messages._ray_table.cache_info().misses, rig.next_stamp()
+        info = info_msg(*size, stamp)
+        info.distortion_model, info.d = "equidistant", FISHEYE
+        rig.info.publish(info)
+        rig.depth.publish(image_msg(np.ones(size[::-1], np.float32), stamp))
+        assert not rig.mask_of(stamp).any()
+        rig.wait_status(PROCESSING, ERROR, "bounds.max_rays")
+        assert messages._ray_table.cache_info().misses == before
 
 
 def test_pixels_without_a_ray_where_no_light_shines() -> None:
