@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from compressed_images import compressed_msg
-from harness import FOCAL, HEIGHT, WIDTH, Rig, image_msg, info_msg, nanoseconds, plate, reliable, wall
+from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, image_msg, info_msg, nanoseconds, plate, reliable, wall
 from node_world import BIAS
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 

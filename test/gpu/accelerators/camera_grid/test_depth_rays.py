@@ -77,8 +77,8 @@ def test_the_rays_of_a_pinhole_in_any_order(depth_camera: DepthCamera, name: str
 def test_few_entries_cost_passes_and_nothing_else(
     any_device: str, depth_camera: DepthCamera, kind: str, wide: bool
 ) -> None:
-    from shadow_tracer.gpu.devices import pick_device
-    from shadow_tracer.gpu.light_grid.primary import PrimaryRays
+    from shadow_tracer.gpu.device.devices import pick_device
+    from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays
 
     if wide and not probe.wide(any_device):
         pytest.skip("the wide form is the CPU's")
@@ -130,7 +130,7 @@ def test_tables_at_the_end_of_numbers(depth_camera: DepthCamera, plain_forms: li
 
 
 def test_another_pose_uploads_no_rays(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from shadow_tracer.gpu.transfers import Uploads
+    from shadow_tracer.gpu.device.transfers import Uploads
 
     mesh, camera = VIEWS["street"]
     camera, scene = lens("rational", camera), scene_of(mesh)
