@@ -77,8 +77,8 @@ def test_the_rays_of_a_pinhole_in_any_order(depth_camera: DepthCamera, name: str
 def test_few_entries_cost_passes_and_nothing_else(
     any_device: str, depth_camera: DepthCamera, kind: str, wide: bool
 ) -> None:
-    from shadow_tracer.gpu.device.devices import pick_device
     from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays
+    from shadow_tracer.gpu.device.devices import pick_device
 
     if wide and not probe.wide(any_device):
         pytest.skip("the wide form is the CPU's")
