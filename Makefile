@@ -41,7 +41,7 @@ help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1@\2/p' Makefile | awk -F@ '{ printf "%-12s%s\n", $$1, $$2 }'
 
 demo: $(VENV)/.has-demo ## play a moving scene through the node, pictures into demo_output/; DATA=<folder> plays recorded depth images
-	@$(PY) -m shadow_tracer.apps.demo --node $(if $(DATA),--data "$(DATA)") $(ARGS)
+	@$(PY) -m shadow_tracer.apps.demo.demo --node $(if $(DATA),--data "$(DATA)") $(ARGS)
 
 test: $(VENV)/.has-test ## all tests, on up to four cores; ARGS="-k name" passes options to pytest, ARGS="-n 0" takes one process
 	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile $(ARGS)

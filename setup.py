@@ -86,8 +86,8 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            f"shadow_lifecycle_node = {NAME}.ros.process:lifecycle_main",
-            f"shadow_node = {NAME}.ros.process:main",
+            f"shadow_lifecycle_node = {NAME}.ros.node.process:lifecycle_main",
+            f"shadow_node = {NAME}.ros.node.process:main",
             f"shadow_tracer = {NAME}.apps.cli:main",
         ]
     },

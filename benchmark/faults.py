@@ -32,8 +32,8 @@ from rclpy.qos import DurabilityPolicy
 from visualization_msgs.msg import MarkerArray
 
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer
-from shadow_tracer.ros.cdr import encode_mesh
 from shadow_tracer.ros.diagnostics import DEPTH, ERROR, MESH, PROCESSING, WARN
+from shadow_tracer.ros.wire.cdr import encode_mesh
 
 UNKNOWN = 77
 PATIENCE = 20.0  # s

@@ -20,8 +20,8 @@ from harness import image_msg, info_msg, plate, time_msg, wall
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
-from shadow_tracer.ros.cdr import encode_mesh
-from shadow_tracer.ros.cdr_markers import MarkerMessage, encode_marker, encode_markers
+from shadow_tracer.ros.wire.cdr import encode_mesh
+from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_marker, encode_markers
 from shadow_tracer.scene.distortion import COUNTS as COUNTS_OF
 
 COUNTS = (0, 1, 2, 3, 255, 2**16, 2**24, 2**28, 2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1)

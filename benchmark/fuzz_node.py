@@ -36,7 +36,7 @@ from visualization_msgs.msg import MarkerArray
 
 from benchmark.fuzz_messages import INPUTS, Input, Message, cloud_msg, small_frame
 from shadow_tracer.ros.diagnostics import PROCESSING, Complaint, Missing
-from shadow_tracer.ros.marker_feed import Markers
+from shadow_tracer.ros.world.marker_feed import Markers
 
 FIELD = re.compile(r"[a-z][a-z0-9_.\[\]]*.*: \S.{4,}", re.DOTALL)  # "step: expected at least ..."
 LONGEST_TEXT = 1000

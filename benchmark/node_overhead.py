@@ -33,11 +33,11 @@ from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import Mesh
 
 from shadow_tracer import Bias, Camera, PointLight, Scene, ShadowTracer
-from shadow_tracer.ros.cdr import encode_mesh
-from shadow_tracer.ros.frames import Frames, Tf2
-from shadow_tracer.ros.mesh_sources import MeshSources
-from shadow_tracer.ros.node import ShadowNode
-from shadow_tracer.ros.parameters import settings_from
+from shadow_tracer.ros.node.node import ShadowNode
+from shadow_tracer.ros.parameters.parameters import settings_from
+from shadow_tracer.ros.wire.cdr import encode_mesh
+from shadow_tracer.ros.world.frames import Frames, Tf2
+from shadow_tracer.ros.world.mesh_sources import MeshSources
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 525.0
 LAMP = (0.4, -0.3, 0.2)

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 from scenes import data_folder
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, State
-from shadow_tracer.apps import workshop
+from shadow_tracer.apps.demo import workshop
 
 _WIDTH, _HEIGHT = 640, 480
 

@@ -17,7 +17,7 @@ from report import ROOT
 from scenes import procedural_view
 from shadow_map import masks, rasteriser
 
-from shadow_tracer.apps import pictures
+from shadow_tracer.apps.demo import pictures
 
 _LIT, _DARK, _WRONG, _NOTHING = (245, 222, 179), (44, 52, 70), (213, 40, 0), (255, 255, 255)
 _GAP, _LINE = 8, 26

@@ -37,7 +37,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import Mesh
 
 from shadow_tracer import Camera, PointLight, ShadowTracer
-from shadow_tracer.ros.cdr import encode_mesh
+from shadow_tracer.ros.wire.cdr import encode_mesh
 
 ROOT = Path(__file__).resolve().parents[1]
 PROFILE = ROOT / "config" / "fastdds_large_images.xml"

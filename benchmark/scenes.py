@@ -189,7 +189,7 @@ def procedural_view(scene: str, eye: str, light: str, size: int, triangles: int 
 
 
 def _workshop(size: int) -> View:
-    from shadow_tracer.apps import workshop
+    from shadow_tracer.apps.demo import workshop
 
     scene = workshop.Workshop()
     positions = np.stack([scene.vertices(phase) for phase in (0.1, 0.11, 0.12, 0.13)])

@@ -39,8 +39,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 from benchmark.faults import PATIENCE, check_end, expected, first_mask
 from benchmark.fuzz_messages import cloud_msg, pose_msg
 from benchmark.fuzz_node import robust_slope
-from shadow_tracer.ros.cdr import encode_mesh
-from shadow_tracer.ros.cdr_markers import (
+from shadow_tracer.ros.diagnostics import DEPTH, DEVICE, MESH, PROCESSING
+from shadow_tracer.ros.wire.cdr import encode_mesh
+from shadow_tracer.ros.wire.cdr_markers import (
     ADD,
     DELETE,
     DELETEALL,
@@ -49,7 +50,6 @@ from shadow_tracer.ros.cdr_markers import (
     encode_markers,
     parse_markers,
 )
-from shadow_tracer.ros.diagnostics import DEPTH, DEVICE, MESH, PROCESSING
 
 SLOPE_LIMIT = 1024.0  # bytes per frame
 WARM_UP = 0.2  # share of the frames

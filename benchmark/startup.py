@@ -38,7 +38,7 @@ def _node(cache: str, domain: int) -> float:
     }
     begin = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, "-m", "shadow_tracer.ros.node"], env=environment, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "shadow_tracer.ros.node.node"], env=environment, stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     try:

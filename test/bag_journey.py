@@ -11,8 +11,8 @@ from bag_maker import BagMaker, cloud, image, info, pixels, pose, read, transfor
 from rosbags.rosbag2 import StoragePlugin
 
 from shadow_tracer.apps import cli
-from shadow_tracer.ros.cdr import encode_mesh
-from shadow_tracer.ros.cdr_markers import MarkerMessage, encode_marker, encode_markers
+from shadow_tracer.ros.wire.cdr import encode_mesh
+from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_marker, encode_markers
 
 W, H, FOCAL = 48, 36, 45.0
 SECOND = 10**9

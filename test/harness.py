@@ -14,7 +14,7 @@ from node_process import NodeProcess as NodeProcess  # for those who import it f
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 from shadow_tracer import testing
-from shadow_tracer.ros.core import Core
+from shadow_tracer.ros.node.core import Core
 
 # For those who import them from here.
 from shadow_tracer.testing.messages import CAMERA_FRAME, FOCAL, HEIGHT, WIDTH

@@ -20,6 +20,15 @@ _IDS = [path.relative_to(_ROOT).as_posix() for path in _MODULES]
 # may not import.
 _GPU = "shadow_tracer.gpu."
 _REGISTRY = _GPU + "accelerators.registry"
+_ROS_ROOM = "shadow_tracer.ros."
+_BELOW_ROS = (
+    "shadow_tracer.visibility",
+    "shadow_tracer.self_test",
+    "shadow_tracer.tracer",
+    _REGISTRY,
+    "shadow_tracer.scene",
+)
+_FOR_ALL = (_ROS_ROOM + "settings", _ROS_ROOM + "diagnostics")
 _MAY_USE: dict[str, tuple[str, ...]] = {
     "scene": (),
     "gpu/device": ("shadow_tracer.scene.checks",),
@@ -56,27 +65,21 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
         _REGISTRY,
         "shadow_tracer.scene",
     ),
-    "ros": (
-        "shadow_tracer.visibility",
-        "shadow_tracer.self_test",
-        "shadow_tracer.tracer",
-        _REGISTRY,
-        "shadow_tracer.scene",
-    ),
-    "apps": (
-        "shadow_tracer.ros",
-        "shadow_tracer.visibility",
-        "shadow_tracer.self_test",
-        "shadow_tracer.tracer",
-        "shadow_tracer.depth_camera",
-        _REGISTRY,
-        "shadow_tracer.scene",
-    ),
+    # In ros/ itself: settings and diagnostics, which all rooms use, and the names that users import.
+    "ros": (*_BELOW_ROS, _ROS_ROOM + "wire", _ROS_ROOM + "node"),
+    "ros/wire": (*_BELOW_ROS, *_FOR_ALL),
+    "ros/world": (*_BELOW_ROS, *_FOR_ALL, _ROS_ROOM + "wire"),
+    "ros/cameras": (*_BELOW_ROS, *_FOR_ALL, _ROS_ROOM + "wire"),
+    "ros/parameters": (*_BELOW_ROS, *_FOR_ALL, *(_ROS_ROOM + room for room in ("wire", "world", "cameras"))),
+    "ros/node": (*_BELOW_ROS, *_FOR_ALL, *(_ROS_ROOM + room for room in ("wire", "world", "cameras", "parameters"))),
+    "apps": ("shadow_tracer.ros", "shadow_tracer.self_test", "shadow_tracer.tracer", _REGISTRY, "shadow_tracer.scene"),
+    "apps/bag": ("shadow_tracer.ros", *_BELOW_ROS),
+    "apps/demo": ("shadow_tracer.ros", "shadow_tracer.depth_camera", *_BELOW_ROS),
     "testing": (
         "shadow_tracer.testing",
-        "shadow_tracer.ros.cdr",
+        "shadow_tracer.ros.wire.cdr",
         "shadow_tracer.ros.diagnostics",
-        "shadow_tracer.ros.node",
+        "shadow_tracer.ros.node.node",
         "shadow_tracer.scene",
     ),
 }
@@ -132,9 +135,15 @@ def _within(name: str, prefixes: tuple[str, ...]) -> bool:
 
 
 def _room(path: Path) -> str:
-    """Its folder in the package or, in gpu/, the folder there."""
-    parts = path.relative_to(_PACKAGE).with_suffix("").parts
-    return "/".join(parts[:2]) if parts[0] == "gpu" else parts[0]
+    """Its folder in the package, or the folder there if there are several."""
+    parts = path.relative_to(_PACKAGE).parts
+    inner = parts[0] == "gpu" or (parts[0] in ("ros", "apps") and len(parts) > 2)
+    return "/".join(parts[:2]).removesuffix(".py") if inner else parts[0].removesuffix(".py")
+
+
+def _files_of(room: str) -> list[str]:
+    """What lies in a room itself, not in those within."""
+    return [f"{room}.{path.stem}" for path in (_ROOT / room.replace(".", "/")).glob("*.py")]
 
 
 @pytest.mark.parametrize("path", _MODULES, ids=_IDS)
@@ -144,7 +153,8 @@ def test_arrows_run_down(path: Path) -> None:
         assert not _imports(path) - {"__future__"}
         return
     assert room in _MAY_USE, f"{room}: a room the house does not know"
-    allowed = (*_MAY_USE[room], f"shadow_tracer.{room.replace('/', '.')}")
+    own = f"shadow_tracer.{room.replace('/', '.')}"
+    allowed = (*_MAY_USE[room], own) if room not in ("ros", "apps") else (*_MAY_USE[room], *_files_of(own))
     for name in _imports(path):
         if _within(name, ("shadow_tracer",)) and name != "shadow_tracer":
             # the bare room of an allowed module appears where `from shadow_tracer.gpu import engine` is written
@@ -152,7 +162,7 @@ def test_arrows_run_down(path: Path) -> None:
                 f"{room} reaches {name}"
             )
         if name == "shadow_tracer":
-            assert room in ("ros", "apps"), f"{room} reaches the whole package"
+            assert room.startswith(("ros", "apps")), f"{room} reaches the whole package"
         assert not _within(name, _FOREIGN[room.split("/")[0]]), f"{room} imports {name}"
 
 

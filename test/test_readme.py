@@ -20,8 +20,8 @@ import setuptools
 import yaml
 
 import shadow_tracer
-from shadow_tracer.apps import bag
-from shadow_tracer.ros.parameters import markdown_table
+from shadow_tracer.apps.bag import bag
+from shadow_tracer.ros.parameters.parameters import markdown_table
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"

@@ -8,11 +8,11 @@ import sys
 
 # word -> module with main(arguments), and what it does
 COMMANDS = {
-    "bag": ("shadow_tracer.apps.bag", "masks for every depth image of a recorded bag"),
+    "bag": ("shadow_tracer.apps.bag.bag", "masks for every depth image of a recorded bag"),
     "status": ("shadow_tracer.apps.status", "what the running node says of itself, and what helps (needs ROS)"),
     "self-test": ("shadow_tracer.apps.self_test", "does every pipeline give the right bits on this machine?"),
     "demo": (
-        "shadow_tracer.apps.demo",
+        "shadow_tracer.apps.demo.demo",
         "a moving scene, lit, and pictures of it; --node: through the node (needs ROS)",
     ),
 }

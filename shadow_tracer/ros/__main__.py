@@ -3,7 +3,7 @@
 
 import sys
 
-from shadow_tracer.ros.process import main
+from shadow_tracer.ros.node.process import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -17,9 +17,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import Mesh
 
-from shadow_tracer.ros.cdr import encode_mesh
 from shadow_tracer.ros.diagnostics import MESH
-from shadow_tracer.ros.node import NAME, ShadowNode, ShadowNodeMixin
+from shadow_tracer.ros.node.node import NAME, ShadowNode, ShadowNodeMixin
+from shadow_tracer.ros.wire.cdr import encode_mesh
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.testing.friend import TIMEOUT, Friend
 from shadow_tracer.testing.messages import (

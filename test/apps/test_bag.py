@@ -21,10 +21,11 @@ pytest.importorskip("yaml")
 from bag_maker import BagMaker, cloud, image, info, pixels, pose, read, transform
 
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer, SpotLight
-from shadow_tracer.apps import bag, cli
-from shadow_tracer.ros.cdr import encode_mesh
-from shadow_tracer.ros.cdr_markers import ADD, TRIANGLE_LIST, MarkerMessage, encode_marker, encode_markers
-from shadow_tracer.ros.messages import rigid
+from shadow_tracer.apps import cli
+from shadow_tracer.apps.bag import bag
+from shadow_tracer.ros.wire.cdr import encode_mesh
+from shadow_tracer.ros.wire.cdr_markers import ADD, TRIANGLE_LIST, MarkerMessage, encode_marker, encode_markers
+from shadow_tracer.ros.wire.messages import rigid
 from shadow_tracer.scene.depth_mesh import depth_mesh
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -537,7 +538,7 @@ def test_nothing_is_replaced_by_accident(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_an_interrupted_run_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from shadow_tracer.apps.bag_player import Player
+    from shadow_tracer.apps.bag.player import Player
 
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt

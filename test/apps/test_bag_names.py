@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("yaml")
 
-from shadow_tracer.apps.bag_names import Names, parameters_of
+from shadow_tracer.apps.bag.names import Names, parameters_of
 
 
 def test_topics() -> None:

@@ -28,8 +28,8 @@ from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from shadow_tracer.apps.bag_salvage import MCAP_MAGIC, mend_mcap, mend_sqlite
-from shadow_tracer.apps.bag_salvage_ros1 import mend_ros1, ros1_is_whole
+from shadow_tracer.apps.bag.salvage import MCAP_MAGIC, mend_mcap, mend_sqlite
+from shadow_tracer.apps.bag.salvage_ros1 import mend_ros1, ros1_is_whole
 
 
 @pytest.mark.parametrize("mode", [None, CompressionMode.STORAGE], ids=str)

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Bias, Camera, ShadowTracer
-from shadow_tracer.apps import demo, workshop
-from shadow_tracer.apps.parameter_file import parameters, yaml
-from shadow_tracer.apps.processes import Processes
-from shadow_tracer.apps.publisher import Renderer, quaternion, size
-from shadow_tracer.apps.sequence import View, WorkshopSequence
-from shadow_tracer.ros.cdr import parse_mesh
-from shadow_tracer.ros.parameters import names_for, problems_in
+from shadow_tracer.apps.demo import demo, workshop
+from shadow_tracer.apps.demo.parameter_file import parameters, yaml
+from shadow_tracer.apps.demo.processes import Processes
+from shadow_tracer.apps.demo.publisher import Renderer, quaternion, size
+from shadow_tracer.apps.demo.sequence import View, WorkshopSequence
+from shadow_tracer.ros.parameters.parameters import names_for, problems_in
+from shadow_tracer.ros.wire.cdr import parse_mesh
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -105,7 +105,7 @@ def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch, capsys: pyt
 
 
 def test_quaternion_gives_the_rotation_back() -> None:
-    messages = pytest.importorskip("shadow_tracer.ros.messages", exc_type=ImportError)
+    messages = pytest.importorskip("shadow_tracer.ros.wire.messages", exc_type=ImportError)
     rng = np.random.default_rng(5)
     rotations = [np.linalg.qr(rng.standard_normal((3, 3)))[0] for _ in range(50)]
     rotations = [q * np.sign(np.linalg.det(q)) for q in rotations]
@@ -163,8 +163,8 @@ def test_messages_carry_camera_and_pixels() -> None:
     pytest.importorskip("rclpy")
     from builtin_interfaces.msg import Time
 
-    from shadow_tracer.apps import collector, publisher
-    from shadow_tracer.ros.messages import decode_depth, intrinsics, pose_matrix
+    from shadow_tracer.apps.demo import collector, publisher
+    from shadow_tracer.ros.wire.messages import decode_depth, intrinsics, pose_matrix
 
     camera = Camera(6, 4, 5.5, 5.25, 2.5, 1.5, workshop.camera_to_world(0.3))
     stamp = Time(sec=12, nanosec=34)
@@ -243,7 +243,7 @@ def test_demo_by_the_library_alone(tmp_path: Path, child_environment: dict[str, 
 def test_an_interrupt_ends_the_demo_without_the_node(tmp_path: Path, child_environment: dict[str, str]) -> None:
     for name in demo.NEEDED:
         pytest.importorskip(name)
-    command = [sys.executable, "-m", "shadow_tracer.apps.demo", "--frames", "2000", "--size", "64x48", "--output"]
+    command = [sys.executable, "-m", "shadow_tracer.apps.demo.demo", "--frames", "2000", "--size", "64x48", "--output"]
     with (tmp_path / "log").open("wb") as log:
         child = subprocess.Popen([*command, str(tmp_path / "out")], env=child_environment, stdout=log, stderr=log)
         try:
@@ -260,7 +260,7 @@ def test_an_interrupt_ends_the_demo_without_the_node(tmp_path: Path, child_envir
 
 def test_a_mesh_at_rest_is_the_one_of_the_view_before() -> None:
     pytest.importorskip("rich"), pytest.importorskip("PIL")
-    from shadow_tracer.apps.library_run import LibraryRun
+    from shadow_tracer.apps.demo.library_run import LibraryRun
 
     sequence = WorkshopSequence(2, (48, 36))
     run = LibraryRun(sequence, "mesh_bvh", "", "cpu")
@@ -288,12 +288,12 @@ def test_demo_end_to_end(tmp_path: Path, child_environment: dict[str, str]) -> N
     from builtin_interfaces.msg import Time
     from PIL import Image
 
-    from shadow_tracer.apps import publisher
-    from shadow_tracer.apps.library_run import LibraryRun
-    from shadow_tracer.ros.messages import pose_matrix
+    from shadow_tracer.apps.demo import publisher
+    from shadow_tracer.apps.demo.library_run import LibraryRun
+    from shadow_tracer.ros.wire.messages import pose_matrix
 
     options = [*SHORT, "--node", "--output", str(tmp_path / "out")]
-    command = [sys.executable, "-m", "shadow_tracer.apps.demo", *options]
+    command = [sys.executable, "-m", "shadow_tracer.apps.demo.demo", *options]
     done = subprocess.run(command, env=child_environment, capture_output=True, text=True, timeout=400, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "not answered" not in done.stdout
@@ -336,7 +336,7 @@ def test_interrupted_demo_leaves_nothing_behind(tmp_path: Path, child_environmen
     command = [
         sys.executable,
         "-m",
-        "shadow_tracer.apps.demo",
+        "shadow_tracer.apps.demo.demo",
         "--node",
         "--frames",
         "200",
@@ -372,7 +372,7 @@ def test_node_that_cannot_start_is_reported(tmp_path: Path, child_environment: d
     command = [
         sys.executable,
         "-m",
-        "shadow_tracer.apps.demo",
+        "shadow_tracer.apps.demo.demo",
         "--node",
         "--device",
         "cuda:77",

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from shadow_tracer.apps.pace import Pace
+from shadow_tracer.apps.demo.pace import Pace
 
 
 def played(frames: int, budget: float, seconds: float, compiling: float = 0.0) -> tuple[list[int], float]:

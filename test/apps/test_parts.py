@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shadow_tracer.apps import parts
-from shadow_tracer.apps.parts import Part
+from shadow_tracer.apps.demo import parts
+from shadow_tracer.apps.demo.parts import Part
 
 GREY = (0.5, 0.5, 0.5)
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Camera, DirectionalLight, PointLight, SpotLight
-from shadow_tracer.apps import stage_times
-from shadow_tracer.apps.lighting import StageLight
-from shadow_tracer.apps.shading import Surface
+from shadow_tracer.apps.demo import stage_times
+from shadow_tracer.apps.demo.lighting import StageLight
+from shadow_tracer.apps.demo.shading import Surface
 
 pytest.importorskip("PIL")
 from PIL import Image
 
-from shadow_tracer.apps import pictures
+from shadow_tracer.apps.demo import pictures
 
 W, H = 64, 48
 LAMP = StageLight(PointLight("lamp", [0, 0, 0]), (1.0, 0.6, 0.3), 8.0)

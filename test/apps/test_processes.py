@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from shadow_tracer.apps import processes
+from shadow_tracer.apps.demo import processes
 
 _SLEEPER = "import time; print('up', flush=True); time.sleep(600)"
 
@@ -107,7 +107,7 @@ def test_a_child_does_not_outlive_a_parent_that_was_killed(sleeper: str, tmp_pat
     """It has no time to end anybody."""
     program = (
         "import os, signal, time\n"
-        "from shadow_tracer.apps.processes import Processes\n"
+        "from shadow_tracer.apps.demo.processes import Processes\n"
         "with Processes() as children:\n"
         "    children.start('sleeper', 'sleeper', on_line=lambda line: os.kill(os.getpid(), signal.SIGKILL))\n"
         "    print(children._children['sleeper'].pid, children.folder, flush=True)\n"

@@ -13,8 +13,8 @@ pytest.importorskip("PIL")
 from PIL import Image
 
 from shadow_tracer import DirectionalLight, PointLight, ShadowTracer, SpotLight
-from shadow_tracer.apps import recorded
-from shadow_tracer.apps.recorded import FolderSequence
+from shadow_tracer.apps.demo import recorded
+from shadow_tracer.apps.demo.recorded import FolderSequence
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("SHADOW_TRACER_DATA", ROOT.parent / "shared" / "data")) / "rgbd"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Camera, DirectionalLight, PointLight, SpotLight
-from shadow_tracer.apps import robot, workshop
-from shadow_tracer.apps.sequence import WorkshopSequence, workshop_lights
+from shadow_tracer.apps.demo import robot, workshop
+from shadow_tracer.apps.demo.sequence import WorkshopSequence, workshop_lights
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def test_views_are_deterministic_and_end_with_a_larger_still() -> None:
 
 def test_depth_lies_on_the_mesh() -> None:
     """Each sample lies in the plane of some triangle: the depth is along the optical axis, not along the ray."""
-    from shadow_tracer.apps.render import RayCaster
+    from shadow_tracer.apps.demo.render import RayCaster
 
     sequence = WorkshopSequence(4, (64, 48))
     view = sequence.view(1)

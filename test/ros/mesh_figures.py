@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from shadow_tracer.ros.mesh_files import load_mesh_file
+from shadow_tracer.ros.wire.mesh_files import load_mesh_file
 
 SQUARE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 0.0))
 TWO = ((0, 1, 2), (2, 1, 3))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from shadow_tracer.ros.command_line import answer, outside, usage
+from shadow_tracer.ros.node.command_line import answer, outside, usage
 
 ROOT = Path(__file__).parents[2]
 PROGRAMS = ("shadow_node", "shadow_lifecycle_node")
@@ -75,7 +75,7 @@ def test_what_is_outside() -> None:
 
 @pytest.mark.parametrize("module", ["main", "lifecycle_main"])
 def test_the_programs_answer_without_ros(module: str) -> None:
-    code = f"import sys; from shadow_tracer.ros.process import {module}; sys.exit({module}())"
+    code = f"import sys; from shadow_tracer.ros.node.process import {module}; sys.exit({module}())"
     blocked = "import sys; sys.modules['rclpy'] = None; " + code
     for words, expected in ((["--help"], 0), (["--params-file", "x.yaml"], 2)):
         run = subprocess.run([sys.executable, "-c", blocked, *words], cwd=ROOT, capture_output=True, text=True)

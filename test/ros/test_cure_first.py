@@ -80,7 +80,7 @@ class Texts(ast.NodeVisitor):
 
 
 def messages() -> Iterator[tuple[str, str]]:
-    for path in sorted(FOLDER.glob("*.py")):
+    for path in sorted(FOLDER.rglob("*.py")):
         for line, text in Texts(ast.parse(path.read_text(encoding="utf-8"))).found:
             yield f"{path.name}:{line}", text
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadow_tracer.ros.cdr import encode_mesh
 from shadow_tracer.ros.diagnostics import ERROR, OK, WARN
-from shadow_tracer.ros.health_inputs import judge_mesh
-from shadow_tracer.ros.mesh_sources import MeshSources
+from shadow_tracer.ros.node.health_inputs import judge_mesh
+from shadow_tracer.ros.wire.cdr import encode_mesh
+from shadow_tracer.ros.world.mesh_sources import MeshSources
 
 SETTINGS: Any = SimpleNamespace(
     mesh_frame="", fixed_frame="map", occluders="mesh", uses_meshes=True, uses_depth=False, mesh_files=()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from shadow_tracer.ros import installed
+from shadow_tracer.ros.node import installed
 
 NAME = "fastdds_large_images.xml"
 

@@ -17,9 +17,9 @@ from sensor_msgs.msg import Image, PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Header
 
-from shadow_tracer.ros.cdr_markers import parse_markers
-from shadow_tracer.ros.clouds import cloud_points, visibility_cloud
-from shadow_tracer.ros.markers import marker_changes
+from shadow_tracer.ros.wire.cdr_markers import parse_markers
+from shadow_tracer.ros.wire.clouds import cloud_points, visibility_cloud
+from shadow_tracer.ros.wire.markers import marker_changes
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = (DOCS / "integration.md", DOCS / "slam.md")

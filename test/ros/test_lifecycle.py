@@ -20,11 +20,11 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
-from shadow_tracer.ros import tracer_host
 from shadow_tracer.ros.diagnostics import DEPTH, DEVICE, ERROR, MESH, OK, PROCESSING, TRANSFORMS
-from shadow_tracer.ros.lifecycle_node import ShadowLifecycleNode
+from shadow_tracer.ros.node import tracer_host
+from shadow_tracer.ros.node.lifecycle_node import ShadowLifecycleNode
 
-COMMAND = ("-c", "import sys; from shadow_tracer.ros.process import lifecycle_main; sys.exit(lifecycle_main())")
+COMMAND = ("-c", "import sys; from shadow_tracer.ros.node.process import lifecycle_main; sys.exit(lifecycle_main())")
 INPUTS = ("depth/image_rect", "depth/camera_info", "mesh", "mesh_markers", "mesh_marker", "mesh_cloud", "camera_pose")
 
 

@@ -16,8 +16,8 @@ from sensor_msgs.msg import CameraInfo
 from shape_msgs.msg import Mesh
 
 from shadow_tracer import Bias, Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SpotLight
-from shadow_tracer.ros.cdr import encode_mesh
 from shadow_tracer.ros.diagnostics import DEPTH, DEVICE, ERROR, MESH, OK, PROCESSING, TRANSFORMS, WARN
+from shadow_tracer.ros.wire.cdr import encode_mesh
 
 UNKNOWN = 77
 

@@ -11,12 +11,12 @@ from node_world import BIAS
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
-from shadow_tracer.ros import messages
-from shadow_tracer.ros.answer import Answer
-from shadow_tracer.ros.compressed_depth import decode
+from shadow_tracer.ros.cameras.frame_queue import WaitingFrame
 from shadow_tracer.ros.diagnostics import DEPTH, ERROR, OK, PROCESSING
-from shadow_tracer.ros.frame_queue import WaitingFrame
-from shadow_tracer.ros.messages import intrinsics
+from shadow_tracer.ros.node.answer import Answer
+from shadow_tracer.ros.wire import messages
+from shadow_tracer.ros.wire.compressed_depth import decode
+from shadow_tracer.ros.wire.messages import intrinsics
 from shadow_tracer.scene.depth_mesh import depth_mesh
 
 PACKED = {"depth_image_transport": "compressedDepth"}

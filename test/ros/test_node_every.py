@@ -13,9 +13,9 @@ from node_world import BIAS, camera, library, library_with_plate
 from rclpy.qos import ReliabilityPolicy
 
 from shadow_tracer import PointLight
-from shadow_tracer.ros import tracer_host
+from shadow_tracer.ros.cameras.frame_queue import FrameQueue
 from shadow_tracer.ros.diagnostics import DEPTH, OK, PROCESSING, WARN
-from shadow_tracer.ros.frame_queue import FrameQueue
+from shadow_tracer.ros.node import tracer_host
 
 EVERY = {"process": "every", "tf_timeout": 5.0}
 

@@ -18,9 +18,9 @@ from sensor_msgs.msg import Image
 from tf_double import Buffer, module, transform
 
 from shadow_tracer import DirectionalLight, Frame, PointLight, ShadowTracer, SphereLight, SpotLight
+from shadow_tracer.ros.cameras.overlay import overlay
 from shadow_tracer.ros.diagnostics import ERROR, OK, PROCESSING, TRANSFORMS, WARN
-from shadow_tracer.ros.messages import rigid
-from shadow_tracer.ros.overlay import overlay
+from shadow_tracer.ros.wire.messages import rigid
 
 HALF = math.sqrt(0.5)
 ALONG_Z = (0.0, -HALF, 0.0, HALF)  # a rotation that turns +x to +z

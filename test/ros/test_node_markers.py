@@ -14,10 +14,10 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from visualization_msgs.msg import Marker, MarkerArray
 
-from shadow_tracer.ros import marker_feed
-from shadow_tracer.ros.cdr_markers import DELETE, MarkerMessage, encode_marker
-from shadow_tracer.ros.marker_feed import NAMELESS
-from shadow_tracer.ros.messages import rigid
+from shadow_tracer.ros.wire.cdr_markers import DELETE, MarkerMessage, encode_marker
+from shadow_tracer.ros.wire.messages import rigid
+from shadow_tracer.ros.world import marker_feed
+from shadow_tracer.ros.world.marker_feed import NAMELESS
 
 SCENE, LIGHTS = "shadow_tracer/scene_markers", "shadow_tracer/light_markers"
 KEPT = DurabilityPolicy.TRANSIENT_LOCAL

@@ -20,9 +20,9 @@ from tf_double import Buffer, module, transform
 from visualization_msgs.msg import Marker, MarkerArray
 
 from shadow_tracer import PointLight, ShadowTracer
-from shadow_tracer.ros.cdr_markers import DELETE, DELETEALL, MarkerMessage, encode_marker, encode_markers
 from shadow_tracer.ros.diagnostics import ERROR, MESH, OK, PROCESSING, TRANSFORMS, WARN
-from shadow_tracer.ros.messages import rigid
+from shadow_tracer.ros.wire.cdr_markers import DELETE, DELETEALL, MarkerMessage, encode_marker, encode_markers
+from shadow_tracer.ros.wire.messages import rigid
 from shadow_tracer.scene.depth_mesh import depth_mesh
 
 LAMP = PointLight("lamp", (0.5, -0.5, 0.0))
@@ -367,7 +367,7 @@ def test_the_surface_of_the_last_image_is_not_in_the_way(rig: Rig, tracer: Shado
 
 
 def test_a_layout_that_ros_does_not_share_is_read_as_objects(monkeypatch: pytest.MonkeyPatch) -> None:
-    from shadow_tracer.ros import layouts
+    from shadow_tracer.ros.wire import layouts
 
     monkeypatch.setattr(layouts, "_markers_differ", lambda: "points came out as colors")
     with Rig({"mask.unknown_value": UNKNOWN}) as rig:

@@ -19,11 +19,18 @@ from shape_msgs.msg import Mesh
 from test_parameters import BAD
 
 from shadow_tracer import available_pipelines
-from shadow_tracer.ros.cdr import encode_mesh
-from shadow_tracer.ros.core import StartupError
+from shadow_tracer.ros.cameras.mask_shape import shadow_grown
 from shadow_tracer.ros.diagnostics import DEVICE, ERROR, MESH, OK, PROCESSING, WARN
-from shadow_tracer.ros.mask_shape import shadow_grown
-from shadow_tracer.ros.parameters import LIGHT_PARAMETERS, PARAMETERS, ParameterError, default_of, names_for, row_of
+from shadow_tracer.ros.node.core import StartupError
+from shadow_tracer.ros.parameters.parameters import (
+    LIGHT_PARAMETERS,
+    PARAMETERS,
+    ParameterError,
+    default_of,
+    names_for,
+    row_of,
+)
+from shadow_tracer.ros.wire.cdr import encode_mesh
 
 STANDARD = {"pose_source": "parameter", "tf_timeout": 0.0}
 

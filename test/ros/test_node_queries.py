@@ -17,7 +17,7 @@ from tf_double import Buffer, module, transform
 
 from shadow_tracer import DirectionalLight, PointLight, ShadowTracer, SphereLight, SpotLight, State
 from shadow_tracer.ros.diagnostics import ERROR, PROCESSING, TRANSFORMS, WARN
-from shadow_tracer.ros.messages import rigid
+from shadow_tracer.ros.wire.messages import rigid
 
 LIGHTS = {
     "mask.unknown_value": UNKNOWN,
@@ -240,7 +240,7 @@ def test_more_than_can_wait_are_dropped_and_counted(monkeypatch: pytest.MonkeyPa
     """While the tracer is busy they wait, the last eight of them."""
     import threading
 
-    from shadow_tracer.ros import tracer_host
+    from shadow_tracer.ros.node import tracer_host
 
     gate = threading.Event()
     monkeypatch.setattr(tracer_host, "run", lambda *_, **__: gate.wait(60.0) and [])

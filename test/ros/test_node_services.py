@@ -16,8 +16,8 @@ from harness import NodeProcess, Rig, plate, wall
 from std_srvs.srv import Trigger
 
 from shadow_tracer import available_pipelines
-from shadow_tracer.ros import tracer_host
 from shadow_tracer.ros.diagnostics import DEVICE, ERROR, OK, PROCESSING
+from shadow_tracer.ros.node import tracer_host
 from shadow_tracer.self_test import Result
 
 SERVICE = "shadow_tracer/self_test"

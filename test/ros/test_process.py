@@ -22,7 +22,7 @@ from rcl_interfaces.srv import SetParameters
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
 from shadow_tracer.ros.diagnostics import DEVICE, ERROR, OK, PROCESSING
-from shadow_tracer.ros.node import spin
+from shadow_tracer.ros.node.node import spin
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.slow
@@ -203,7 +203,8 @@ def test_the_launcher_finds_the_program_from_lib(tmp_path: Path) -> None:
 
 def test_importing_the_room_needs_no_ros_and_no_warp() -> None:
     code = (
-        "import sys; import shadow_tracer.ros.parameters, shadow_tracer.ros.cdr, shadow_tracer.ros.process;"
+        "import sys; import shadow_tracer.ros.parameters.parameters, shadow_tracer.ros.cdr;"
+        "import shadow_tracer.ros.node.process;"
         "print(sorted({'rclpy', 'warp', 'sensor_msgs'} & set(sys.modules)))"
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

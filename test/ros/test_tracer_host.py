@@ -13,8 +13,8 @@ import pytest
 
 from shadow_tracer import Bounds, Camera, PointLight
 from shadow_tracer.gpu.engine import frame as frame_tracer
-from shadow_tracer.ros import tracer_host
-from shadow_tracer.ros.tracer_host import Outcome, TracerHost
+from shadow_tracer.ros.node import tracer_host
+from shadow_tracer.ros.node.tracer_host import Outcome, TracerHost
 
 
 def _settings(pipeline: str = "light_grid", threads: int = 1) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from shadow_tracer.ros.transport import LossMeter
+from shadow_tracer.ros.node.transport import LossMeter
 
 
 def fed(numbers: list[int], period: float = 0.1, size: int = 64) -> LossMeter:

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masks for every depth image of a recording."""

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``/diagnostics`` says: five statuses, each with the numbers behind it and, if something is wrong, what helps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from shadow_tracer.ros import diagnostics
+from shadow_tracer.ros.diagnostics import (
+    DEPTH,
+    DEVICE,
+    ERROR,
+    MESH,
+    OK,
+    PROCESSING,
+    TRANSFORMS,
+    WARN,
+    Complaint,
+    Missing,
+    Window,
+)
+from shadow_tracer.ros.node.answer import MOST_BITS, Answer
+from shadow_tracer.ros.node.health_inputs import Verdict, judge_depth, judge_mesh
+from shadow_tracer.ros.node.inputs import Inputs
+from shadow_tracer.ros.node.processing import Processor
+from shadow_tracer.ros.node.queries import MOST_LIGHTS, Queries
+from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.world.frames import NO_TF, Frames
+
+_BUSY_WORDS = {
+    "start": "starting up for {:.0f} s: kernels are being loaded or, the first time, compiled",
+    "select": "loading another pipeline for {:.0f} s: its kernels are compiled the first time",
+    "verify": "loading the second pipeline of verify_every for {:.0f} s",
+    "self-test": "self test for {:.0f} s: every pipeline traces a built-in scene, kernels are compiled the first time",
+}
+
+_NO_CLOCK = (
+    "use_sim_time is true and no /clock comes: ages, lifetimes and tf have no time; start the simulator or "
+    "`ros2 bag play --clock`, or set use_sim_time to false"
+)
+
+Doing = tuple[str, float] | None
+
+
+@dataclass
+class DeviceState:
+    """What the node knows about its tracer."""
+
+    name: str = "none"
+    pipeline: str = ""
+    variant: str = ""
+    threads: int = 0
+    ready_after: float = 0.0
+    reserved: int = 0
+    choice: str = ""
+    error: str = ""
+
+
+@dataclass
+class Health:
+    """Collects what happens, and judges it when asked.
+
+    Attributes:
+        node: name of the node, which the names of the statuses start with.
+    """
+
+    node: str
+    inputs: Inputs
+    frames: Frames
+    processor: Processor
+    queries: Queries
+    device: DeviceState = field(default_factory=DeviceState)
+    faults: Complaint = field(default_factory=Complaint)
+    traced: int = 0
+    unknown: int = 0
+    overflow_passes: int = 0
+    time_jumps: int = 0
+    _overflow: Complaint = field(default_factory=Complaint)
+    _missing: Missing | None = None
+    _warning: str = ""
+    _model: str = ""
+    _dropped: int = 0
+    _lost_images: int = 0
+    _lost: Complaint = field(default_factory=Complaint)
+    _busy: Window = field(default_factory=Window)
+    _total: Window = field(default_factory=Window)
+    _latency: Window = field(default_factory=Window)
+
+    def note(self, answer: Answer, total: float, latency: float | None, now: float) -> None:
+        """Take over the outcome of a frame.
+
+        Args:
+            total: its time in the node [ms].
+            latency: its age at publication [ms]; None if there is no time.
+            now: steady time [s].
+        """
+        self._missing = answer.missing
+        self._warning = answer.warning
+        self._model = answer.optics.model if answer.optics else ""
+        if answer.missing is not None:
+            self.unknown += 1
+            return
+        self.traced += 1
+        passes = int(answer.numbers.get("overflow_passes", 0))
+        if passes:
+            self.overflow_passes += passes
+            self._overflow.add(f"{passes} further passes", now)
+        self._busy.add(total - answer.stages.get("wait", 0.0))
+        self._total.add(total)
+        if latency is not None:
+            self._latency.add(latency)
+
+    def report(self, settings: Settings, doing: Doing, now: float, now_ns: int, stamp: Any) -> DiagnosticArray:
+        """The message of ``/diagnostics``.
+
+        Args:
+            doing: name and seconds of what keeps the tracer from tracing; None if it is ready.
+            now: steady time [s].
+            now_ns: time of the node's clock [ns].
+            stamp: the same as a message.
+        """
+        verdicts = {
+            DEPTH: judge_depth(self.inputs, settings, self._warning, self._model, self._busy.mean(), now),
+            MESH: judge_mesh(self.inputs, settings, now, now_ns),
+            TRANSFORMS: self._judge_transforms(settings, now),
+            DEVICE: self._judge_device(doing),
+            PROCESSING: self._judge_processing(settings, doing, now, now_ns),
+        }
+        array = DiagnosticArray(status=[self._status(name, *verdict) for name, verdict in verdicts.items()])
+        array.header.stamp = stamp
+        return array
+
+    def _status(self, name: str, level: bytes, text: str, values: dict[str, Any]) -> DiagnosticStatus:
+        missing = self._missing or self.queries.missing
+        if missing is not None and missing.status == name and level <= missing.level:
+            level, text = missing.level, missing.text
+        return diagnostics.status(f"{self.node}: {name}", level, diagnostics.cure_first(text), values, self.node)
+
+    def _judge_transforms(self, settings: Settings, now: float) -> Verdict:
+        inputs = self.inputs
+        topic, refused = inputs.topic("pose"), inputs.pose_refused
+        values = {
+            "pose_source": settings.pose_source,
+            "fixed_frame": settings.fixed_frame or "-",
+            "tf": "listening" if self.frames.has_tf else "not used",
+            "camera_pose topic": topic,
+            "camera poses kept": len(self.frames.camera_poses),
+            "lights placed by topics": ", ".join(inputs.lighting.moved()) or "-",
+            "refused poses": refused.count,
+            "last refusal": refused.text or "-",
+        }
+        if settings.pose_source == "tf" and settings.fixed_frame and not self.frames.has_tf and self.traced == 0:
+            return ERROR, f"{NO_TF}no pose is known; set pose_source to topic or parameter", values
+        lights = [name for name in inputs.subscriptions if name.startswith("light ")]
+        mismatch = inputs.mismatch("pose", *lights)
+        if mismatch:
+            return ERROR, mismatch, values
+        if refused.recent(now):
+            return ERROR, f"pose refused, {refused.text}; correct the publisher of that topic", values
+        if settings.pose_source == "tf" and not settings.fixed_frame:
+            return OK, "fixed_frame is empty: the optical frame of the depth image is the world", values
+        return OK, f"camera pose from {settings.pose_source}", values
+
+    def _judge_device(self, doing: Doing) -> Verdict:
+        device = self.device
+        values = {
+            "device": device.name,
+            "pipeline": device.pipeline or "-",
+            "variant": device.variant or "-",
+            "threads": device.threads or "-",
+            "ready after [s]": f"{device.ready_after:.2f}" if device.ready_after else "-",
+            "choice": device.choice or "-",
+            "reserved [MB]": f"{device.reserved / 1e6:.0f}",
+        }
+        if doing is not None:
+            return OK, _BUSY_WORDS[doing[0]].format(doing[1]), values
+        if device.error and not device.pipeline:
+            text = f"the tracer cannot be made: {device.error}"
+            if device.error.startswith("kernel cache: "):  # it says itself what helps
+                return ERROR, text, values
+            return ERROR, f"{text}; correct that parameter and start again", values
+        if device.error:
+            text = f"{device.error}; {device.pipeline} stays in use, set the parameters pipeline and variant again"
+            return ERROR, text, values
+        if not device.pipeline:
+            return OK, "no tracer yet: configure the node", values
+        return OK, f"{device.pipeline}/{device.variant} on {device.name}", values
+
+    def _judge_processing(self, settings: Settings, doing: Doing, now: float, now_ns: int) -> Verdict:
+        queue, queries, processor = self.inputs.queue, self.queries, self.processor
+        dropped, self._dropped = queue.dropped - self._dropped, queue.dropped
+        if dropped and settings.process == "every":
+            self._lost_images += dropped
+            self._lost.add(f"{self._lost_images} images were dropped although process is every", now)
+        values = {
+            "traced": self.traced,
+            "unknown": self.unknown,
+            "dropped": queue.dropped,
+            "waiting": len(queue),
+            "frame in node, mean / 95 % / max [ms]": self._total.summary(),
+            "age at publication, mean / 95 % / max [ms]": self._latency.summary(),
+            "overflow passes": self.overflow_passes,
+            "verified frames": processor.verified,
+            "differing": processor.differing,
+            "queries answered": queries.answered,
+            "queries of which nothing is known": queries.unknown,
+            "queries refused": queries.refused.count,
+            "queries dropped": queries.dropped,
+            "last query refusal": queries.refused.text or "-",
+            "time jumps back": self.time_jumps,
+            "faults": self.faults.count,
+            "last fault": self.faults.text or "-",
+        }
+        if self.faults.recent(now):
+            return ERROR, f"{self.faults.text}; the node goes on, please report this with its log", values
+        if processor.differing:
+            text = f"{processor.differing} pixels of verified frames differ between two pipelines; please report this"
+            return ERROR, text, values
+        if doing is not None:
+            what = "starting up" if doing[0] == "start" else doing[0]
+            return OK, f"{what}: frames wait until kernels are ready", values
+        if not now_ns:
+            return WARN, _NO_CLOCK, values
+        if self._missing is not None:
+            return WARN, f"the last mask says unknown, see {self._missing.status!r}: {self._missing.text}", values
+        if queries.missing is not None:
+            return WARN, f"the last query has no answer, see {queries.missing.status!r}: {queries.missing.text}", values
+        warning = self._doubts(settings, now)
+        if warning:
+            return WARN, warning, values
+        if self.traced == 0:
+            return OK, "ready, no frame yet", values
+        return OK, f"{self.traced} frames traced", values
+
+    def _doubts(self, settings: Settings, now: float) -> str:
+        """What works, but not as it should; "" if everything does."""
+        queries = self.queries
+        if queries.refused.recent(now):
+            return f"query refused, {queries.refused.text}; correct its publisher"
+        if settings.front_face_culling and settings.uses_depth:
+            return (
+                "a depth image shows fronts only, and front_face_culling lets light through fronts; set one of "
+                "front_face_culling and occluders back"
+            )
+        if settings.process == "every" and self._lost.recent(now):
+            return (
+                f"{self._lost.text}: they come faster than they can be answered; play the bag with a lower --rate, or "
+                "use `shadow_tracer bag`"
+            )
+        if self._overflow.recent(now):
+            return (
+                f"{self._overflow.text} were needed, which costs time, no answer; start with a larger "
+                "bounds.queue_capacity, or bounds.grid_entries for light_grid"
+            )
+        if len(settings.lights) > MOST_BITS and settings.mask_publish == "always":
+            return f"light_bits has {MOST_BITS} bits and is not published for {len(settings.lights)} lights; name fewer"
+        if len(settings.lights) > MOST_LIGHTS and queries.answered:
+            return f"query/visibility has {MOST_LIGHTS} bits: it leaves out all later lights; name fewer"
+        return ""

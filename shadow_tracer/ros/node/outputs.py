@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node publishes. Images are made only where somebody wants them."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from shadow_tracer.ros.cameras.overlay import overlay
+from shadow_tracer.ros.node import qos
+from shadow_tracer.ros.node.answer import MOST_BITS, Answer, published_mask
+from shadow_tracer.ros.node.subscriptions import keeps_for_late_joiners
+from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.wire.messages import image_message
+
+_DEPTHS = {"lit": True, "shadowed": False}
+
+
+class Outputs:
+    """The publishers. Those of single lights come and go with the lights.
+
+    Attributes:
+        infos: camera_info for masks, by what stands between ``~/mask/`` and ``camera_info``: "" is the one that
+            image_transport looks for beside every ``~/mask/<light>``.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.mask = self._publisher(Image, "~/mask")
+        self.info = self._publisher(CameraInfo, "~/camera_info")
+        self.bits = self._publisher(Image, "~/light_bits")
+        self.overlay = self._publisher(Image, "~/overlay")
+        self.depths = {lit: self._publisher(Image, f"~/depth_{name}") for name, lit in _DEPTHS.items()}
+        self.visibility = self._publisher(PointCloud2, "~/query/visibility", qos.burst())
+        self.scene_markers = self._publisher(MarkerArray, "~/scene_markers", qos.latched())
+        self.light_markers = self._publisher(MarkerArray, "~/light_markers", qos.latched())
+        self.timing = self._publisher(DiagnosticArray, "~/timing", qos.report())
+        self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
+        self.lights: dict[str, Publisher] = {}
+        self.infos = {"": self._publisher(CameraInfo, "~/mask/camera_info")}
+
+    def configure(self, settings: Settings) -> None:
+        """One mask topic for each light, and none for others."""
+        names = {light.name for light in settings.lights}
+        for name in set(self.lights) - names:
+            self._node.destroy_publisher(self.lights.pop(name))
+            self._node.destroy_publisher(self.infos.pop(name))
+        for name in sorted(names - set(self.lights)):
+            self.lights[name] = self._publisher(Image, f"~/mask/{name}")
+            self.infos[name] = self._publisher(CameraInfo, f"~/mask/{name}/camera_info")
+
+    def publish(self, answer: Answer, settings: Settings) -> dict[str, float]:
+        """Send what belongs to a frame, its camera_info last. Returns milliseconds by stage."""
+        start = time.perf_counter()
+        always = settings.mask_publish == "always"
+        images: list[tuple[Publisher, Any, str]] = []
+        for publisher, light in [(self.mask, None), *((self.lights.get(name), name) for name in answer.enabled)]:
+            if publisher is not None and (always or _wanted(publisher)):
+                images.append((publisher, published_mask(answer, light, settings), "mono8"))
+        for lit, publisher in self.depths.items():
+            if _wanted(publisher):
+                depth = answer.depth(lit, settings.mask_dilate, settings.depth_unit)
+                images.append((publisher, depth, answer.frame.image.encoding))
+        if len(answer.names) <= MOST_BITS and (always or _wanted(self.bits)):
+            bits = answer.bits()
+            images.append((self.bits, bits, "mono8" if bits.dtype == np.uint8 else "16UC1"))
+        if _wanted(self.overlay):
+            images.append((self.overlay, _overlay(answer), "rgb8"))
+        made = time.perf_counter()
+        for publisher, pixels, encoding in images:
+            publisher.publish(image_message(pixels, encoding, answer.frame.image))
+        self._publish_info(answer, always)
+        end = time.perf_counter()
+        return {"masks": (made - start) * 1e3, "publish": (end - made) * 1e3}
+
+    def _publish_info(self, answer: Answer, always: bool) -> None:
+        info = answer.mask_info
+        if info is None:
+            return
+        self.info.publish(info)
+        for name in ("", *answer.enabled):
+            publisher = self.infos.get(name)
+            if publisher is not None and (always or _wanted(publisher)):
+                publisher.publish(info)
+
+    def _publisher(self, kind: Any, topic: str, profile: QoSProfile | None = None) -> Publisher:
+        return self._node.create_publisher(
+            kind, topic, profile or qos.newest_reliable(), qos_overriding_options=qos.overridable()
+        )
+
+
+def _wanted(publisher: Publisher) -> bool:
+    # Nobody can tell a mask nobody listens to from one that was not sent, unless it is kept for late joiners.
+    return publisher.get_subscription_count() > 0 or keeps_for_late_joiners(publisher.qos_profile)
+
+
+def _overlay(answer: Answer) -> Any:
+    depth, optics = answer.frame.depth, answer.optics
+    if optics is None:  # nothing is known, which is shown, too; for the relief a guess will do
+        height, width = depth.shape
+        return overlay(depth, None, width, width, (width - 1) / 2, (height - 1) / 2)
+    return overlay(depth, answer.mask(), optics.fx, optics.fy, optics.cx, optics.cy)

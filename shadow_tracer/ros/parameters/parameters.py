@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every parameter of the node, declared once: type, default, unit, range and meaning. No ROS here.
+
+``python -m shadow_tracer.ros.parameters`` prints the table as Markdown, as it stands in docs/node.md.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from shadow_tracer import Bounds, available_pipelines
+from shadow_tracer.ros.cameras.camera_infos import POLICIES
+from shadow_tracer.ros.parameters.parameter_rows import (
+    BOOL,
+    DOUBLE,
+    DOUBLES,
+    INTEGER,
+    STRING,
+    STRINGS,
+    Parameter,
+    ParameterError,
+    convert,
+)
+from shadow_tracer.ros.settings import LIGHT_TYPES, LightSettings, Settings, SunSettings
+from shadow_tracer.ros.wire.messages import DISTORTION, MILLIMETRE
+from shadow_tracer.ros.world.sun import parse_time
+from shadow_tracer.scene.bounds import LIMITS
+
+__all__ = [
+    "LIGHT_PARAMETERS",
+    "PARAMETERS",
+    "Parameter",
+    "ParameterError",
+    "convert",
+    "default_of",
+    "light_names",
+    "markdown_table",
+    "names_for",
+    "problems_in",
+    "row_of",
+    "settings_from",
+    "unknown_names",
+]
+
+_BUFFER = "device buffers of this size are allocated once, at start; restart the node to change it"
+_DEVICE = "buffers and kernels live on one device from the start; restart the node to change it"
+_THREADS = "buffers are cut into as many shares at the start; restart the node to change it"
+_FRAME = re.compile(r"(?!/)\S+|")
+_DEVICE_NAME = re.compile(r"auto|cpu|cuda:\d+")
+_LIGHT_NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")
+_NO_LIGHT = "camera_info"  # ~/mask/camera_info is the camera_info of all masks
+
+
+def _pipelines() -> tuple[str, ...]:
+    return tuple(available_pipelines())
+
+
+def _variants() -> tuple[str, ...]:
+    return ("", *dict.fromkeys(variant for variants in available_pipelines().values() for variant in variants))
+
+
+_FRAME_TEXT = 'a tf frame without leading "/", or ""'
+
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter("pipeline", STRING, "light_grid",
+              "How shadows are found; auto chooses for each frame by what frames have cost. All give the same masks.",
+              allowed=_pipelines()),
+    Parameter("variant", STRING, "",
+              "Variant of the pipeline; empty is the pipeline's default.", allowed=_variants()),
+    Parameter("device", STRING, "auto",
+              "Where kernels run; auto takes the first CUDA device, or the CPU if there is none.",
+              pattern=_DEVICE_NAME, pattern_text="auto, cpu, cuda:N", read_only=_DEVICE),
+    Parameter("threads", INTEGER, 0,
+              "How many cores of the CPU a frame may keep busy; 0 is all that the node may use, at most 8.",
+              low=0, high=64, read_only=_THREADS),
+    Parameter("fixed_frame", STRING, "",
+              "World frame of meshes and lights. Empty: with pose_source tf the world is the optical frame of the "
+              "depth image and needs no tf; with the other sources it is the frame their poses are given in.",
+              pattern=_FRAME, pattern_text=_FRAME_TEXT),
+    Parameter("pose_source", STRING, "tf",
+              "Where the pose of the camera's optical frame in fixed_frame comes from: tf (at the stamp of the "
+              "image), the topic camera_pose, or the parameter camera_pose.", allowed=("tf", "topic", "parameter")),
+    Parameter("camera_frame", STRING, "",
+              "Optical frame of the depth image, where its header names another one or none; empty is that of the "
+              "header.", pattern=_FRAME, pattern_text=_FRAME_TEXT),
+    Parameter("camera_pose", DOUBLES, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+              "Pose of the optical frame, x y z [m] qx qy qz qw, used when pose_source is parameter.", length=7),
+    Parameter("tf_timeout", DOUBLE, 0.2,
+              "How long a frame waits for its transforms, camera pose and camera_info before its mask says unknown; "
+              "a camera_pose farther than this from the stamp of the image is not used.", "s", 0.0, 10.0),
+    Parameter("mesh.frame", STRING, "",
+              "Frame of the topic mesh, which has no header; empty is fixed_frame.",
+              pattern=_FRAME, pattern_text=_FRAME_TEXT),
+    Parameter("mesh.max_age", DOUBLE, 0.0,
+              "A mesh received longer ago than this is stale and the mask says unknown; 0 never.", "s", 0.0, 1e6),
+    Parameter("mesh.files", STRINGS, ("",),
+              "Mesh files in mesh.frame (STL, OBJ, PLY, OFF, glTF, COLLADA, 3MF and more), their axes as written: "
+              "paths, file:// or package://<package>/...; [''] is none."),
+    Parameter("mesh.files_scale", DOUBLE, 0.0,
+              "Length of a file's unit; 0 takes the unit that is written in the file, or metres.", "m", 0.0, 1e6),
+    Parameter("depth_image_transport", STRING, "raw",
+              "raw takes images from depth/image_rect, compressedDepth packed ones (PNG, RVL) from "
+              "depth/image_rect/compressedDepth.", allowed=("raw", "compressedDepth")),
+    Parameter("depth.unit", DOUBLE, MILLIMETRE,
+              "Length of a step of 16UC1 and mono16. Other than 0.001: a depth is step * unit, rounded to float32.",
+              "m", 1e-6, 1.0),
+    Parameter("occluders", STRING, "mesh",
+              "What casts shadow: received meshes and mesh files, the surface that the depth image itself shows, or "
+              "both.", allowed=("mesh", "depth", "mesh+depth")),
+    Parameter("depth_occluder.step", INTEGER, 2,
+              "Every n-th pixel of the depth image is a corner of the surface that it shows.", "px", 1, 16),
+    Parameter("depth_occluder.max_jump", DOUBLE, 0.05,
+              "Where depths of neighbouring corners differ by more than this share of the smaller one, the surface is "
+              "cut.", low=0.001, high=1.0),
+    Parameter("camera_info_policy", STRING, "auto",
+              "exact pairs depth and camera_info of the same stamp, latest takes the newest camera_info; auto is exact "
+              "where that stamp comes, else the newest if those around the stamp are equal bit for bit.",
+              allowed=POLICIES),
+    Parameter("distortion", STRING, "auto",
+              "apply takes the depth image as raw: its rays come from K and D; ignore as rectified: they come from P. "
+              "auto is apply where D is not zero and no word of the depth topic's last part begins with rect.",
+              allowed=DISTORTION),
+    Parameter("light_names", STRINGS, ("lamp",),
+              "Names of the lights, each with its own group lights.<name>; [''] is none.",
+              pattern=_LIGHT_NAME,
+              pattern_text="letters, digits and single underscores, a letter first, not camera_info"),
+    Parameter("bias.constant", DOUBLE, 0.02,
+              "Shadow rays start this far from the surface. It hides depth noise and the gap between surface and "
+              "mesh; too large loses contact shadows.", "m", 0.0, 1.0),
+    Parameter("bias.quadratic", DOUBLE, 0.003,
+              "Added to bias.constant times the square of the depth: the noise of stereo and structured light grows "
+              "so.", "1/m", 0.0, 0.1),
+    Parameter("bias.normal", DOUBLE, 0.6,
+              "Samples are first moved by this many times the bias along the normal of their surface, where the depth "
+              "image shows one: against speckles in grazing light.", low=0.0, high=2.0),
+    Parameter("front_face_culling", BOOL, False,
+              "Triangles whose front (corners counter-clockwise) faces the light cast nothing, their backs do. Only "
+              "for closed meshes with outward fronts, and with a bias of nearly zero."),
+    Parameter("mask.unknown_value", INTEGER, 0,
+              "Mask value where nothing is known: invalid depth, or a missing camera_info, transform or light. 255 "
+              "means lit and is refused.", low=0, high=254),
+    Parameter("mask.publish", STRING, "listened",
+              "listened makes and sends a mask only while somebody listens, always sends all of them.",
+              allowed=("listened", "always")),
+    Parameter("mask.dilate", INTEGER, 0,
+              "Shadow in masks, depth_lit and depth_shadowed grows by so many pixels on every side; what is unknown "
+              "stays so.", "px", 0, 64),
+    Parameter("mask.invert", BOOL, False,
+              "Masks are 255 in shadow and 0 where light reaches, and 255 - mask.unknown_value where nothing is known: "
+              "for programs that leave out what is 255."),
+    Parameter("markers.max_triangles", INTEGER, 100_000,
+              "Most triangles in scene_markers, small parts first; a part beyond is shown as its box, which says so.",
+              low=0, high=1_000_000),
+    Parameter("process", STRING, "latest",
+              "latest answers the newest image and drops those before it; every answers each one in order, for "
+              "replays.", allowed=("latest", "every")),
+    Parameter("verify_every", INTEGER, 0,
+              "Every n-th frame is traced by a second pipeline too; the number of differing pixels is published. 0 is "
+              "none.", low=0, high=1_000_000),
+    Parameter("bounds.max_triangles", INTEGER, 1_000_000,
+              "Largest number of triangles; a larger mesh is refused whole.",
+              low=1, high=LIMITS["max_triangles"], read_only=_BUFFER),
+    Parameter("bounds.max_rays", INTEGER, 1_310_720,
+              "Largest number of pixels of a depth image (1280 x 1024); a larger image gets an unknown mask.",
+              low=1, high=LIMITS["max_rays"], read_only=_BUFFER),
+    Parameter("bounds.max_lights", INTEGER, 16,
+              "Largest number of lights.", low=1, high=LIMITS["max_lights"], read_only=_BUFFER),
+    Parameter("bounds.queue_capacity", INTEGER, 1_048_576,
+              "Sample and triangle pairs that wait for the exact test; fewer cost passes, never an answer.",
+              low=1, high=LIMITS["queue_capacity"], read_only=_BUFFER),
+    Parameter("bounds.grid_entries", INTEGER, 4_194_304,
+              "Entries of triangles in tiles (pipeline light_grid); fewer cost passes, never an answer.",
+              low=1, high=LIMITS["grid_entries"], read_only=_BUFFER),
+    Parameter("diagnostics_period", DOUBLE, 1.0,
+              "Time between two messages on /diagnostics, on a steady clock.", "s", 0.1, 1.0),
+)  # fmt: skip
+
+LIGHT_PARAMETERS: tuple[Parameter, ...] = (
+    Parameter("type", STRING, "point",
+              "Kind of light. The sun stands where date, time and place put it, if the axes of its frame are east, "
+              "north, up; a sphere casts soft shadows.", allowed=LIGHT_TYPES),
+    Parameter("enabled", BOOL, True,
+              "Whether it shines; the mask of a light that does not is not published."),
+    Parameter("frame", STRING, "",
+              "Frame of position and direction; empty is fixed_frame. The optical frame of the depth image needs no "
+              "tf.", pattern=_FRAME, pattern_text=_FRAME_TEXT),
+    Parameter("position", DOUBLES, (0.5, -0.5, 0.0),
+              "Position of a point, spot or sphere light. The default is to the right of and above the camera, if "
+              "fixed_frame is left empty.", "m", length=3),
+    Parameter("direction", DOUBLES, (0.0, 0.0, 1.0),
+              "The way light travels, of a spot or directional light; any length but zero. The default is the way "
+              "the camera looks, if fixed_frame is left empty.", length=3),
+    Parameter("outer_angle", DOUBLE, 0.5,
+              "Half angle of a spot light's cone; what lies outside is not reached.", "rad", 0.001, math.pi),
+    Parameter("range", DOUBLE, 0.0,
+              "How far a point, spot or sphere light reaches; 0 is without limit.", "m", 0.0, 1e9),
+    Parameter("radius", DOUBLE, 0.1,
+              "Radius of a sphere light.", "m", 1e-6, 1e6),
+    Parameter("sun.latitude", DOUBLE, 0.0,
+              "Where the sun is seen from, north positive.", "deg", -90.0, 90.0),
+    Parameter("sun.longitude", DOUBLE, 0.0,
+              "Where the sun is seen from, east positive.", "deg", -180.0, 180.0),
+    Parameter("sun.time", STRING, "",
+              "When, as ISO 8601 (2026-06-21T12:00:00Z, without a zone UTC); empty is the stamp of the image."),
+)  # fmt: skip
+
+_BY_NAME = {row.name: row for row in PARAMETERS}
+_BY_KEY = {row.name: row for row in LIGHT_PARAMETERS}
+
+
+def row_of(name: str) -> Parameter | None:
+    """The row of a full parameter name such as ``bias.constant`` or ``lights.lamp.range``; None if there is none."""
+    if name.startswith("lights."):
+        return _BY_KEY.get(name.split(".", 2)[2]) if name.count(".") >= 2 else None
+    return _BY_NAME.get(name)
+
+
+def light_names(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names in the parameter ``light_names``; a lone empty string, the ROS way to write an empty list, is none.
+
+    Raises:
+        ParameterError: not a list of valid, different names.
+    """
+    names = convert("light_names", row := _BY_NAME["light_names"], values.get("light_names", row.default))
+    if names == ("",):
+        return ()
+    for name in names:
+        if not _LIGHT_NAME.fullmatch(name) or name == _NO_LIGHT:
+            raise ParameterError(f"light_names: expected names of {row.constraint}, got {name!r}")
+    if len(set(names)) != len(names):
+        raise ParameterError(f"light_names: expected different names, got {list(names)}")
+    return names
+
+
+def names_for(lights: Iterable[str]) -> list[str]:
+    """Full names of all parameters with these lights, in the order of the table."""
+    return [row.name for row in PARAMETERS] + [
+        f"lights.{light}.{row.name}" for light in lights for row in LIGHT_PARAMETERS
+    ]
+
+
+def default_of(name: str) -> Any:
+    """Default value of a full parameter name."""
+    row = row_of(name)
+    if row is None:
+        raise ParameterError(f"{name}: no such parameter")
+    return row.default
+
+
+def settings_from(values: Mapping[str, Any]) -> Settings:
+    """Check all values together and make the settings.
+
+    Args:
+        values: full parameter name -> value; what is missing has its default, what is unknown is ignored.
+
+    Raises:
+        ParameterError: the first fault found, in the order of the table.
+    """
+    checked = {row.name: convert(row.name, row, values.get(row.name, row.default)) for row in PARAMETERS}
+    names = light_names(values)
+    if len(names) > checked["bounds.max_lights"]:
+        raise ParameterError(
+            f"light_names: expected at most bounds.max_lights = {checked['bounds.max_lights']} names, got {len(names)}"
+        )
+    variants = available_pipelines()[checked["pipeline"]]
+    if checked["variant"] and checked["variant"] not in variants:
+        raise ParameterError(
+            f"variant: expected one of {', '.join(variants)} for pipeline {checked['pipeline']}, or '' for its "
+            f"default, got {checked['variant']!r}"
+        )
+    length = math.sqrt(sum(value * value for value in checked["camera_pose"][3:]))
+    if not 0.99 <= length <= 1.01:
+        raise ParameterError(f"camera_pose: expected a unit quaternion qx qy qz qw, got one of length {length:.6g}")
+    lights = tuple(_light(name, values) for name in names)
+    try:
+        Bounds(**{name: checked[f"bounds.{name}"] for name in LIMITS})
+    except ValueError as error:  # of two that do not fit together
+        raise ParameterError(str(error)) from error
+    del checked["light_names"]  # lights has them
+    checked["mesh.files"] = tuple(file for file in checked["mesh.files"] if file)
+    fields = {_FIELDS.get(name, name.replace(".", "_")): value for name, value in checked.items()}
+    return Settings(**{**fields, "lights": lights})
+
+
+_FIELDS = {"mask.unknown_value": "unknown_value"} | {
+    row.name: row.name[7:] for row in PARAMETERS if row.name.startswith("bounds.")
+}
+
+
+def _light(name: str, values: Mapping[str, Any]) -> LightSettings:
+    keys = {}
+    for row in LIGHT_PARAMETERS:
+        full = f"lights.{name}.{row.name}"
+        keys[row.name] = convert(full, row, values.get(full, row.default))
+    text = keys.pop("sun.time")
+    try:
+        time = parse_time(text) if text else None
+    except ValueError as error:
+        raise ParameterError(f"lights.{name}.sun.time: {error}") from error
+    sun = SunSettings(keys.pop("sun.latitude"), keys.pop("sun.longitude"), time)
+    light = LightSettings(name=name, sun=sun, **keys)
+    if not 1e-6 <= math.sqrt(sum(value * value for value in light.direction)) <= 1e6:
+        raise ParameterError(
+            f"lights.{name}.direction: expected a length from 1e-6 to 1e6, got {list(light.direction)}"
+        )
+    return light
+
+
+def problems_in(values: Mapping[str, Any]) -> list[str]:
+    """Every fault in the values, one sentence each; empty if there is none. At the start all are wanted at once."""
+    good: dict[str, Any] = {}
+    problems = []
+    for name, value in values.items():
+        row = row_of(name)
+        if row is None:
+            continue
+        try:
+            good[name] = convert(name, row, value)
+        except ParameterError as error:
+            problems.append(str(error))
+    try:
+        settings_from(good)
+    except ParameterError as error:
+        problems.append(str(error))
+    return problems
+
+
+def unknown_names(names: Iterable[str], known: Sequence[str], lights: Sequence[str]) -> list[str]:
+    """Warnings for names that are not among the known ones, each with the nearest known name.
+
+    Args:
+        names: names that were given.
+        known: names of all declared parameters.
+        lights: names of the lights.
+    """
+    warnings = []
+    for name in names:
+        if name in known:
+            continue
+        parts = name.split(".", 2)
+        if row_of(name) is not None and parts[0] == "lights" and parts[1] not in lights:
+            warnings.append(
+                f"{name} has no effect: {parts[1]!r} is not in light_names {list(lights)}; add it there, or correct "
+                "the name"
+            )
+            continue
+        near = difflib.get_close_matches(name, known, 1, 0.5)
+        hint = f"did you mean {near[0]}?" if near else "see the parameter table in docs/node.md"
+        warnings.append(f"{name} has no effect: there is no such parameter; {hint}")
+    return warnings
+
+
+def markdown_table() -> str:
+    """The table as Markdown, with a final line feed."""
+    lines = ["| Parameter | Type | Default | Allowed | Meaning |", "|---|---|---|---|---|"]
+    rows = [(row.name, row) for row in PARAMETERS] + [(f"lights.<name>.{row.name}", row) for row in LIGHT_PARAMETERS]
+    for name, row in rows:
+        note = f" Read-only: {row.read_only}." if row.read_only else ""
+        cells = (f"`{name}`", row.type, f"`{_yaml(row.default)}`", row.constraint, row.description + note)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _yaml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return value or '""'
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_yaml(item) for item in value) + "]"
+    return repr(value)

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""sensor_msgs/PointCloud2 <-> numpy: points to be queried, and clouds of which every three points are a triangle.
+
+Messages are taken as objects with the fields of PointCloud2, whoever made them; no ROS is imported. Whatever is wrong
+with one is a :class:`PartError` that names the field, and nothing is allocated before it is known to be there.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from shadow_tracer.ros.settings import FloatArray
+from shadow_tracer.ros.wire.messages import stamp_ns
+from shadow_tracer.ros.wire.parts import Changes, Part, PartError, soup_triangles
+from shadow_tracer.scene.checks import LARGEST
+
+CLOUD = "cloud"
+
+# Datatypes of sensor_msgs/PointField.
+_UINT8, _UINT32, _FLOAT32, _FLOAT64 = 2, 6, 7, 8
+_REAL = {_FLOAT32: "f4", _FLOAT64: "f8"}
+
+# x, y, z, lights, known of an answer: name, offset, datatype, format. Padded so that all rows of points stay aligned.
+_ANSWER = (
+    ("x", 0, _FLOAT32, "<f4"),
+    ("y", 4, _FLOAT32, "<f4"),
+    ("z", 8, _FLOAT32, "<f4"),
+    ("lights", 12, _UINT32, "<u4"),
+    ("known", 16, _UINT8, "u1"),
+)
+_ANSWER_STEP = 20
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the coordinates of a cloud are; checked, all bytes of it are there."""
+
+    height: int
+    width: int
+    point_step: int
+    row_step: int
+    columns: tuple[tuple[int, np.dtype[Any]], ...]  # offset and format of x, y, z
+
+    @property
+    def count(self) -> int:
+        return self.height * self.width
+
+
+def _column(fields: Any, name: str, point_step: int, order: str) -> tuple[int, np.dtype[Any]]:
+    found = [field for field in fields if field.name == name]
+    if len(found) != 1:
+        names = [str(field.name) for field in fields[:16]]
+        raise PartError(f"fields: expected one each of x, y and z, got {names}{' ...' if len(fields) > 16 else ''}")
+    offset, datatype, count = int(found[0].offset), int(found[0].datatype), int(found[0].count)
+    kind = _REAL.get(datatype)
+    if kind is None:
+        raise PartError(f"fields: expected {name} of datatype 7 (FLOAT32) or 8 (FLOAT64), got {datatype}")
+    if count > 1:  # some drivers leave it 0
+        raise PartError(f"fields: expected {name} with count 1, got {count}")
+    dtype = np.dtype(order + kind)
+    if offset + dtype.itemsize > point_step:
+        raise PartError(
+            f"fields: {name} ends at byte {offset + dtype.itemsize} of a point, but point_step is {point_step}"
+        )
+    return offset, dtype
+
+
+def _layout(msg: Any) -> _Layout:
+    height, width = int(msg.height), int(msg.width)
+    point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
+    if height * width == 0:
+        if size:
+            raise PartError(f"width, height: {width} x {height} points, but data has {size} bytes")
+        return _Layout(0, 0, 0, 0, ())
+    order = ">" if msg.is_bigendian else "<"
+    columns = tuple(_column(msg.fields, name, point_step, order) for name in "xyz")
+    if height > 1 and row_step < width * point_step:
+        raise PartError(f"row_step: expected at least width * point_step = {width * point_step} bytes, got {row_step}")
+    needed = (height - 1) * row_step + width * point_step  # a single row has no need of row_step
+    if size < needed:
+        raise PartError(f"data: {width} x {height} points need {needed} bytes, got {size}")
+    return _Layout(height, width, point_step, row_step, columns)
+
+
+def _points(msg: Any, layout: _Layout) -> FloatArray:
+    points = np.empty((layout.count, 3))
+    if layout.count:
+        grid = points.reshape(layout.height, layout.width, 3)
+        strides = (layout.row_step, layout.point_step)
+        with np.errstate(invalid="ignore"):  # a signalling NaN is one, too
+            for k, (offset, dtype) in enumerate(layout.columns):
+                grid[..., k] = np.ndarray(grid.shape[:2], dtype, msg.data, offset, strides)
+    return points
+
+
+def cloud_points(msg: Any) -> FloatArray:
+    """Points of a cloud, row by row.
+
+    Args:
+        msg: a sensor_msgs/PointCloud2 with fields x, y, z, each FLOAT32 or FLOAT64 at any offset; either byte order;
+            ``point_step`` and, where there is more than one row, ``row_step`` are honoured. No width or no height and
+            no data is a cloud without points, whatever its fields.
+
+    Returns:
+        (height * width, 3) float64 [m] in the frame of the header. NaN and infinity stay what they are.
+
+    Raises:
+        PartError: a field is missing or of another type, a step is too small, data too short.
+    """
+    return _points(msg, _layout(msg))
+
+
+def soup_part(msg: Any, parts: Mapping[str, Part], max_triangles: int) -> Changes:
+    """What a cloud asks for of which points 0 1 2, 3 4 5 and so on are the corners of triangles.
+
+    Args:
+        msg: as for :func:`cloud_points`.
+        parts: the parts there are. Points that the part "cloud" already has are taken over from it, uncopied.
+        max_triangles: largest number of triangles accepted.
+
+    Returns:
+        The part "cloud", at the stamp of the header in its frame; its removal where the cloud has no points.
+
+    Raises:
+        PartError: as for :func:`cloud_points`, points that are no multiple of three, not finite or beyond 1e50, too
+            many triangles.
+    """
+    layout = _layout(msg)
+    count = layout.count
+    if count == 0:
+        return Changes(remove=(CLOUD,))
+    if count % 3:
+        raise PartError(
+            f"width, height: expected a multiple of 3 points, every three a triangle, got {layout.width} x "
+            f"{layout.height} = {count}"
+        )
+    if count // 3 > max_triangles:
+        raise PartError(f"bounds.max_triangles: the cloud has {count // 3} triangles, the bound is {max_triangles}")
+    points = _points(msg, layout)
+    low, high = float(points.min()), float(points.max())  # NaN comes out of both
+    if not (low >= -LARGEST and high <= LARGEST):
+        bad = int(np.flatnonzero(~(np.abs(points.ravel()) <= LARGEST))[0])
+        raise PartError(
+            f"data: expected finite coordinates of at most {LARGEST:g} m, got {points.flat[bad]} for "
+            f"{'xyz'[bad % 3]} of point {bad // 3}"
+        )
+    known = parts.get(CLOUD)
+    # Other points mostly differ from the first on; that is told without reading all of them.
+    if known is not None and all(np.array_equal(known.vertices[:n], points[:n]) for n in (64, count)):
+        points = known.vertices
+    points.setflags(write=False)
+    part = Part(
+        key=CLOUD,
+        vertices=points,
+        triangles=soup_triangles(count // 3),
+        frame=str(msg.header.frame_id),
+        stamp=stamp_ns(msg.header.stamp),
+        locked=False,
+        field="header.frame_id of mesh_cloud",
+    )
+    return Changes(put=(part,))
+
+
+def visibility_cloud(msg: Any, points: FloatArray, bits: npt.ArrayLike, known: npt.ArrayLike) -> Any:
+    """The answer to a query: its points with what reaches them.
+
+    Args:
+        msg: the query, a PointCloud2; header, height and width are taken from it. Nothing of it is changed.
+        points: (N, 3) its points, as :func:`cloud_points` gives them.
+        bits: (N,) unsigned integers below 2^32; bit i tells that light i reaches the point.
+        known: (N,) bool, False where nothing is known of the point.
+
+    Returns:
+        A message of the class of ``msg``, little endian, of 20 bytes a point: x, y, z FLOAT32, lights UINT32, known
+        UINT8 (1 or 0).
+
+    Raises:
+        ValueError: the arrays do not have one row for each point of ``msg``, or a bit above 31 is set.
+    """
+    height, width = int(msg.height), int(msg.width)
+    bits, known = np.asarray(bits), np.asarray(known, dtype=np.bool_)
+    count = height * width
+    for name, array_, shape in (("points", points, (count, 3)), ("bits", bits, (count,)), ("known", known, (count,))):
+        if array_.shape != shape:
+            raise ValueError(f"{name}: expected shape {shape}, got {array_.shape}")
+    if count and (bits.dtype.kind not in "iu" or int(bits.min()) < 0 or int(bits.max()) >= 2**32):
+        raise ValueError(f"bits: expected integers from 0 to 2^32 - 1, got dtype {bits.dtype} up to {bits.max()}")
+    names, offsets, _, formats = zip(*_ANSWER, strict=True)
+    layout: Any = {"names": names, "offsets": offsets, "formats": formats, "itemsize": _ANSWER_STEP}
+    rows: Any = np.zeros(count, np.dtype(layout))
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinity
+        for k, name in enumerate("xyz"):
+            rows[name] = points[:, k]
+    rows["lights"], rows["known"] = bits, known
+    make = _point_field(msg)
+    return type(msg)(
+        header=msg.header,
+        height=height,
+        width=width,
+        fields=[make(name=name, offset=offset, datatype=kind, count=1) for name, offset, kind, _ in _ANSWER],
+        is_bigendian=False,
+        point_step=_ANSWER_STEP,
+        row_step=_ANSWER_STEP * width if count else 0,
+        data=_bytes_like(msg.data, rows),
+        is_dense=bool(np.isfinite(points).all()),
+    )
+
+
+def _point_field(msg: Any) -> Any:
+    """The class PointField that goes with the class of a cloud."""
+    if len(msg.fields):
+        return type(msg.fields[0])
+    from sensor_msgs.msg import PointField
+
+    return PointField
+
+
+def _bytes_like(data: Any, rows: npt.NDArray[Any]) -> Any:
+    """The bytes of ``rows`` in the container that messages of this kind have for them: array.array, else numpy."""
+    if isinstance(data, np.ndarray):
+        return rows.view(np.uint8)
+    return array("B", rows.tobytes())
