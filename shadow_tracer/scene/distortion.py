@@ -41,8 +41,6 @@ _ITERATIONS = 20
 _ON_THE_WAY = 32
 _BLOCK = 16384  # pixels: what is computed on the way stays in the cache
 
-Pair = tuple[FloatArray, FloatArray]
-
 
 def checked_coefficients(model: Any, d: Any) -> tuple[float, ...]:
     """Coefficients of a model, in the order of OpenCV: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, or k1 k2 k3 k4.
@@ -114,17 +112,6 @@ def undistorted_rays(
             "image folds; calibrate the camera with fewer coefficients, or rectify the image"
         )
     return rays
-
-
-def distort(model: str, d: Sequence[float], x: FloatArray, y: FloatArray) -> Pair:
-    """Where rays with these x and y at z = 1 are seen, in the plane z = 1: the model itself."""
-    values = checked_coefficients(model, d)
-    if model == "equidistant":
-        r = np.hypot(x, y)
-        scale = np.divide(_theta_d(values)(np.arctan(r)), r, out=np.ones_like(r), where=r > 0.0)
-        return x * scale, y * scale
-    xd, yd, *_ = _Polynomial(values).distort(x, y)
-    return xd, yd
 
 
 def _border(rays: FloatArray) -> FloatArray:

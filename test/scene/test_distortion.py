@@ -14,7 +14,7 @@ import pytest
 from shadow_tracer import Camera
 from shadow_tracer.scene import distortion as module
 from shadow_tracer.scene.camera import RayTable
-from shadow_tracer.scene.distortion import ERROR, distort, undistorted_rays
+from shadow_tracer.scene.distortion import ERROR, undistorted_rays
 
 # Those of real cameras, and some that go far.
 _AZURE = (5.7, 3.6, 1e-4, -5e-5, 0.19, 6.0, 5.4, 1.0)  # K, time of flight, unrectified
@@ -33,6 +33,22 @@ _MODELS: dict[str, tuple[str, tuple[float, ...], float]] = {
     "ideal fisheye": ("equidistant", (0.0, 0.0, 0.0, 0.0), 330.0),
 }
 _SIZE, _CENTRE = (640, 480), (311.25, 247.5)
+
+
+def distort(model: str, d: Sequence[float], x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays with these x and y at z = 1 are seen, in the plane z = 1."""
+    s = x * x + y * y
+    if model == "equidistant":
+        theta = np.arctan(np.sqrt(s))
+        theta_d = theta * (1 + d[0] * theta**2 + d[1] * theta**4 + d[2] * theta**6 + d[3] * theta**8)
+        scale = np.where(s > 0.0, theta_d / np.where(s > 0.0, np.sqrt(s), 1.0), 1.0)
+        return x * scale, y * scale
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = [*d, *[0.0] * 12][:12]
+    f = (1 + k1 * s + k2 * s**2 + k3 * s**3) / (1 + k4 * s + k5 * s**2 + k6 * s**3)
+    return (
+        x * f + 2 * p1 * x * y + p2 * (s + 2 * x * x) + s1 * s + s2 * s * s,
+        y * f + p1 * (s + 2 * y * y) + 2 * p2 * x * y + s3 * s + s4 * s * s,
+    )
 
 
 def _rays(model: str, d: Sequence[float], focal: float, size: tuple[int, int] = _SIZE) -> np.ndarray:
