@@ -28,5 +28,13 @@ struct WIDE(Lanes) {
         return __builtin_elementwise_abs(x);
 #endif
     }
+    // Truncated; for what fits into an int.
+    static inline MASK integer(REAL x) {
+#if LANES == 1
+        return (int)x;
+#else
+        return __builtin_convertvector(x, MASK);
+#endif
+    }
     static inline REAL load(const float* from) { return *(const REAL*)from; }
 };
