@@ -38,7 +38,7 @@ WILD = wp.constant(2)
 _WILD_THREADS_CUDA = 16384
 # Samples per thread on the CPU.
 _BLOCK = wp.constant(256)
-native.constants(ADMIT_BLOCK=_BLOCK, WILD=WILD)
+native.constants(ADMIT_BLOCK=_BLOCK, IN_TREE=IN_TREE, WILD=WILD)
 
 
 @wp.func

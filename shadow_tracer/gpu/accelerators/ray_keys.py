@@ -14,10 +14,11 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.participants import IN_TREE, Participants
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.extents import STRIPES, clear_extents, joined, widen
 from shadow_tracer.gpu.device.sort import KeySort
 from shadow_tracer.gpu.exact.light_frame import SHADOWED
-from shadow_tracer.gpu.exact.light_space import FACES, face_axes, face_of
+from shadow_tracer.gpu.exact.light_space import FACES
 
 CURVE_BITS = 14
 KEY_BITS = 3 + 2 * CURVE_BITS
@@ -26,21 +27,33 @@ CELLS = 2.0**CURVE_BITS
 # the lookup table needs 2^16 (``boxes.py``).
 _SORTED_BITS = (11, KEY_BITS)
 LAST_KEY = wp.constant(2**31 - 1)
+native.constants(CURVE_BITS=CURVE_BITS)
 
 
-@wp.func
+@wp.func_native(
+    native.snippet(
+        "accelerators/ray_keys.h",
+        call="""
+    CubeCell1 at;
+    at.look(ray[0], ray[1], ray[2]);
+    return wp::vec3(at.u, at.v, (float)at.face);""",
+    )
+)
+def cubified(ray: wp.vec4) -> wp.vec3:
+    """(u, v, face) of a ray."""
+    ...
+
+
+@native.func_native("accelerators/ray_keys.h", calls="CubeCell1::cell")
 def cell_of(x: float, low: float, scale: float) -> int:
     """Cell of a face coordinate: monotone in ``x``."""
-    return int(wp.clamp((x - low) * scale, 0.0, CELLS - 1.0))
+    ...
 
 
-@wp.func
-def spread_bits(x: int) -> int:
-    """The 16 lowest bits of ``x``, a zero between each two."""
-    x = (x | (x << 8)) & 0x00FF00FF
-    x = (x | (x << 4)) & 0x0F0F0F0F
-    x = (x | (x << 2)) & 0x33333333
-    return (x | (x << 1)) & 0x55555555
+@native.func_native("accelerators/ray_keys.h", calls="CubeCell1::morton")
+def morton_index(x: int, y: int) -> int:
+    """Position on the Morton curve."""
+    ...
 
 
 @wp.func
@@ -70,9 +83,8 @@ def measure_extent(rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8
     i = wp.tid()
     if group[i] != wp.uint8(IN_TREE):
         return
-    face = face_of(rays[i])
-    on = face_axes(face, rays[i])
-    widen(extent, 4 * (FACES * (i & (STRIPES - 1)) + face), on[1] / on[0], on[2] / on[0])
+    on = cubified(rays[i])
+    widen(extent, 4 * (FACES * (i & (STRIPES - 1)) + int(on[2])), on[0], on[1])
 
 
 @wp.kernel(enable_backward=False)
@@ -103,13 +115,12 @@ def make_keys(
     if group[i] != wp.uint8(IN_TREE) or states[i] == wp.uint8(SHADOWED):
         keys[i] = LAST_KEY
         return
-    ray = rays[i]
-    face = face_of(ray)
-    on = face_axes(face, ray)
+    on = cubified(rays[i])
+    face = int(on[2])
     grid = fit[face]
-    x = cell_of(on[1] / on[0], grid[0], grid[2])
-    y = cell_of(on[2] / on[0], grid[1], grid[2])
-    code = spread_bits(x) | (spread_bits(y) << 1)
+    x = cell_of(on[0], grid[0], grid[2])
+    y = cell_of(on[1], grid[1], grid[2])
+    code = morton_index(x, y)
     if hilbert != 0:
         code = hilbert_index(x, y)
     keys[i] = (face << (2 * CURVE_BITS)) | code
@@ -127,72 +138,7 @@ def count_keys(count: int, keys: wp.array(dtype=int), counts: wp.array(dtype=int
             counts[0] = i + 1
 
 
-# Face and (u, v) of 16 rays from `base` on; lanes behind the last sample repeat it.
-_SIXTEEN = r"""
-    int face[16], taken[16];
-    float u[16], v[16];
-    auto look = [&](int base) -> int {
-        int any = 0;
-        float x[16], y[16], z[16];
-        const int n = count - base < 16 ? count - base : 16;
-        for (int j = 0; j < n; ++j)
-            taken[j] = group.data[base + j] == 1;
-        for (int j = n; j < 16; ++j)
-            taken[j] = 0;
-        for (int j = 0; j < 16; ++j)
-            any |= taken[j];
-        if (!any)
-            return 0;
-        const float* from = (const float*)(rays.data + base);
-        if (n == 16)
-            for (int j = 0; j < 16; ++j)
-                x[j] = from[4 * j], y[j] = from[4 * j + 1], z[j] = from[4 * j + 2];
-        else
-            for (int j = 0; j < 16; ++j)
-                x[j] = from[j < n ? 4 * j : 0], y[j] = from[j < n ? 4 * j + 1 : 1], z[j] = from[j < n ? 4 * j + 2 : 2];
-        for (int j = 0; j < 16; ++j) {
-            const float ax = fabsf(x[j]), ay = fabsf(y[j]), az = fabsf(z[j]);
-            const bool on_x = (ax >= ay) & (ax >= az), on_y = ay >= az;
-            const float major = on_x ? x[j] : on_y ? y[j] : z[j];
-            const float one = on_x ? y[j] : on_y ? z[j] : x[j], two = on_x ? z[j] : on_y ? x[j] : y[j];
-            face[j] = (on_x ? 0 : on_y ? 2 : 4) + (major < 0.0f);
-            u[j] = one / fabsf(major);
-            v[j] = two / fabsf(major);
-        }
-        return any;
-    };
-"""
-
-
-@wp.func_native(
-    _SIXTEEN
-    + r"""
-    float low_u[6], low_v[6], high_u[6], high_v[6];
-    for (int k = 0; k < 6; ++k) {
-        low_u[k] = low_v[k] = 2.0f;
-        high_u[k] = high_v[k] = -2.0f;
-    }
-    for (int base = 0; base < count; base += 16) {
-        if (!look(base))
-            continue;
-        for (int j = 0; j < 16; ++j) {
-            if (!taken[j])
-                continue;
-            const int k = face[j];
-            low_u[k] = u[j] < low_u[k] ? u[j] : low_u[k];
-            low_v[k] = v[j] < low_v[k] ? v[j] : low_v[k];
-            high_u[k] = u[j] > high_u[k] ? u[j] : high_u[k];
-            high_v[k] = v[j] > high_v[k] ? v[j] : high_v[k];
-        }
-    }
-    for (int k = 0; k < 6; ++k) {
-        extent.data[4 * k] = low_u[k];
-        extent.data[4 * k + 1] = low_v[k];
-        extent.data[4 * k + 2] = high_u[k];
-        extent.data[4 * k + 3] = high_v[k];
-    }
-    """
-)
+@native.func_native("accelerators/ray_order.h", calls="RayOrder::measure")
 def measure_all(
     count: int, rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), extent: wp.array(dtype=float)
 ):
@@ -200,37 +146,7 @@ def measure_all(
     ...
 
 
-@wp.func_native(
-    _SIXTEEN
-    + r"""
-    int code[16], found = 0;
-    for (int base = 0; base < count; base += 16) {
-        if (!look(base))
-            continue;
-        for (int j = 0; j < 16; ++j) {
-            const wp::vec4 grid = fit.data[face[j]];
-            const float x = (u[j] - grid[0]) * grid[2], y = (v[j] - grid[1]) * grid[2];
-            int cx = (int)(x > 0.0f ? (x < 16383.0f ? x : 16383.0f) : 0.0f);
-            int cy = (int)(y > 0.0f ? (y < 16383.0f ? y : 16383.0f) : 0.0f);
-            cx = (cx | (cx << 8)) & 0x00FF00FF;
-            cy = (cy | (cy << 8)) & 0x00FF00FF;
-            cx = (cx | (cx << 4)) & 0x0F0F0F0F;
-            cy = (cy | (cy << 4)) & 0x0F0F0F0F;
-            cx = (cx | (cx << 2)) & 0x33333333;
-            cy = (cy | (cy << 2)) & 0x33333333;
-            cx = (cx | (cx << 1)) & 0x55555555;
-            cy = (cy | (cy << 1)) & 0x55555555;
-            code[j] = (face[j] << 28) | cx | (cy << 1);
-        }
-        for (int j = 0; j < 16; ++j) {
-            keys.data[found] = code[j];
-            order.data[found] = base + j;
-            found += taken[j] && states.data[base + j] != 1;
-        }
-    }
-    counts.data[0] = found;
-    """
-)
+@native.func_native("accelerators/ray_order.h", calls="RayOrder::pack")
 def pack_keys_block(
     count: int,
     rays: wp.array(dtype=wp.vec4),

@@ -16,10 +16,9 @@ from node_fuzz import LIGHTS, bundles, decide_all
 from shadow_tracer import Bounds, ShadowTracer
 from shadow_tracer.gpu.accelerators.cone_hierarchy import descent
 from shadow_tracer.gpu.accelerators.cone_hierarchy.boxes import RayTree
-from shadow_tracer.gpu.accelerators.ray_keys import face_of
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import make_light_frame
-from shadow_tracer.gpu.exact.light_space import LightSpace, make_light_space
+from shadow_tracer.gpu.exact.light_space import LightSpace, face_of, make_light_space
 from shadow_tracer.gpu.visibility.answers import Answers
 
 _ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
