@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.device import native
+
 # Columns of the counter array. Each has 64 rows that threads spread over, so that they do not queue for one address.
 COUNTERS = ("rays", "nodes_visited", "leaf_tests", "retested", "exact", "accepted", "passes", "peak_queue")
 COUNTERS += ("entries", "largest_tile", "splits", "overflows")
@@ -20,5 +22,7 @@ ENTRIES = wp.constant(8)
 LARGEST_TILE = wp.constant(9)
 SPLITS = wp.constant(10)
 OVERFLOWS = wp.constant(11)  # further passes that a pipeline did by itself
+native.constants(NODES_VISITED=NODES_VISITED, LEAF_TESTS=LEAF_TESTS, ACCEPTED=ACCEPTED)
 LARGEST = ("peak_queue", "largest_tile")  # of these the largest value of any row counts, not the sum
 ROWS = 64
+native.constants(COUNTER_ROWS=ROWS)

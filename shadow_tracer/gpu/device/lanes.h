@@ -37,4 +37,5 @@ struct WIDE(Lanes) {
 #endif
     }
     static inline REAL load(const float* from) { return *(const REAL*)from; }
+    static inline void store(float* to, REAL x) { *(REAL*)to = x; }
 };
