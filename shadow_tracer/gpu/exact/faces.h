@@ -15,6 +15,22 @@ struct WIDE(Corners) {
     inline REAL length(int k) const {
         return size_of(at[k][0]) + size_of(at[k][1]) + size_of(at[k][2]) + size_of(at[k][3]);
     }
+    // From [corner][U V W Z][LANES].
+    inline void load(const float* from) {
+        for (int k = 0; k < 3; ++k)
+            for (int c = 0; c < 4; ++c)
+                at[k][c] = WIDE(Lanes)::load(from + LANES * (4 * k + c));
+        measure();
+    }
+#if LANES == 1
+    // Those of a triangle, from the corners of all vertices.
+    inline void gather(const wp::vec4* vertices, const wp::vec3i& triangle) {
+        for (int k = 0; k < 3; ++k)
+            for (int c = 0; c < 4; ++c)
+                at[k][c] = vertices[triangle[k]][c];
+        measure();
+    }
+#endif
     // To be called when `at` is set.
     inline void measure() { reach = 1.0f + most(length(0), length(1), length(2)); }
     // Corners too far out are not judged. NaN compares false, so it counts as far.

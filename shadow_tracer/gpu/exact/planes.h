@@ -10,6 +10,23 @@ struct WIDE(Planes) {
     int silent;       // the lanes of triangles that cast nothing, as bits
     int blind;        // those with a value that is not finite: no box may be judged by them
 
+    // The planes of `count` records, which lie one after the other; lanes behind the last repeat the first.
+    inline void take(const float* records, int count, const LightSpace& space) {
+#if LANES == 1
+        load(*(const float (*)[16])records, space);
+#else
+        float row[16][LANES];
+        if (count == LANES)
+            for (int k = 0; k < 16; ++k)
+                for (int j = 0; j < LANES; ++j)
+                    row[k][j] = records[16 * j + k];
+        else
+            for (int k = 0; k < 16; ++k)
+                for (int j = 0; j < LANES; ++j)
+                    row[k][j] = records[16 * (j < count ? j : 0) + k];
+        load(*(const REAL(*)[16])row, space);
+#endif
+    }
     // row: the 16 numbers of a record.
     inline void load(const REAL (&row)[16], const LightSpace& space) {
         typedef WIDE(Lanes) Lanes;
