@@ -10,7 +10,7 @@ A header begins with a comment. Its first lines say what it takes, each as a com
     // needs: exact/arithmetic.h device/lanes.h@16   other headers, each pasted once, before it
     // constants: SHADOWED LEAF_TESTS                values that Python has given by ``constants``
     // arguments: Tiles tiles, Occluders occluders   names for the types of the native function's arguments
-    // cpu                                           not for CUDA
+    // cpu                                           not for CUDA; nor is any text for more than one lane
     // lanes                                         written for any number of lanes
 
 Functions are static members of structs, because a struct may stand in the body of a function, as snippets do, and at
@@ -143,14 +143,14 @@ def snippet(*names: str, call: str, otherwise: str = "") -> str:
     Args:
         names: the headers that ``call`` uses.
         call: the function's body, a call.
-        otherwise: the body for CUDA, where one of the headers is for the CPU alone.
+        otherwise: the body for CUDA, where one of the headers is for the CPU alone, or for several lanes.
     """
     headers = closure(names)
     arguments = dict.fromkeys(pair for header in headers.values() for pair in header.arguments)
     types = "".join(f"typedef decltype({argument}) {kind};\n" for kind, argument in arguments)
     where = _line(f"{_SHOWN}/{names[-1].partition('@')[0]}: call")
     body = "\n".join([types + paste(headers).rstrip(), where, call, _line("the kernel that Warp made"), ""])
-    if not any(header.cpu for header in headers.values()):
+    if not any(header.cpu or lanes > 1 for (_, lanes), header in headers.items()):
         return body
     return f"#if !defined(__CUDA_ARCH__)\n{body}#else\n{otherwise}\n#endif\n"
 
