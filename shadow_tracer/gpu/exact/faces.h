@@ -4,8 +4,9 @@
 // pads.
 struct WIDE(Corners) {
     enum { FACES = 6 };
-    REAL at[3][4]; // U V W Z of each corner
-    REAL reach;    // 1 + the largest magnitude of them
+    typedef int Faces[FACES]; // of each face: lanes, as bits
+    REAL at[3][4];            // U V W Z of each corner
+    REAL reach;               // 1 + the largest magnitude of them
 
     static inline REAL larger(REAL x, REAL y) { return x > y ? x : y; }
     static inline REAL smaller(REAL x, REAL y) { return x < y ? x : y; }
@@ -37,7 +38,7 @@ struct WIDE(Corners) {
     inline MASK near() const { return reach < 1.0e18f; }
     // Of each face, the lanes that may touch it, as bits: of each face axis a triangle must reach a positive value, and
     // one as large as the least absolute value of the other axes. Margins are many times the error of corners.
-    inline void touched(int (&faces)[FACES]) const {
+    inline void touched(Faces& faces) const {
         const int far = ~WIDE(Lanes)::bits(near());
         REAL low[3], high[3], beside[3];
         for (int c = 0; c < 3; ++c) {

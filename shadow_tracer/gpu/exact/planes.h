@@ -4,16 +4,17 @@
 // The four planes of triangles over light space, LANES at a time, from their records; light_space.py derives P and the
 // pads.
 struct WIDE(Planes) {
-    REAL n[3][3];     // edges
-    REAL p[4];        // P
-    REAL edge, plane; // factors of the pads
-    int silent;       // the lanes of triangles that cast nothing, as bits
-    int blind;        // those with a value that is not finite: no box may be judged by them
+    typedef REAL Row[16]; // the numbers of a record
+    REAL n[3][3];         // edges
+    REAL p[4];            // P
+    REAL edge, plane;     // factors of the pads
+    int silent;           // the lanes of triangles that cast nothing, as bits
+    int blind;            // those with a value that is not finite: no box may be judged by them
 
     // The planes of `count` records, which lie one after the other; lanes behind the last repeat the first.
     inline void take(const float* records, int count, const LightSpace& space) {
 #if LANES == 1
-        load(*(const float (*)[16])records, space);
+        load(*(const Row*)records, space);
 #else
         float row[16][LANES];
         if (count == LANES)
@@ -24,11 +25,10 @@ struct WIDE(Planes) {
             for (int k = 0; k < 16; ++k)
                 for (int j = 0; j < LANES; ++j)
                     row[k][j] = records[16 * (j < count ? j : 0) + k];
-        load(*(const REAL(*)[16])row, space);
+        load(*(const Row*)row, space);
 #endif
     }
-    // row: the 16 numbers of a record.
-    inline void load(const REAL (&row)[16], const LightSpace& space) {
+    inline void load(const Row& row, const LightSpace& space) {
         typedef WIDE(Lanes) Lanes;
         silent = Lanes::bits((row[12] == 0.0f) & (row[13] == 0.0f) & (row[14] == 0.0f));
         REAL sum = 0.0f;
