@@ -53,7 +53,7 @@ EXCEPTIONS = {
         64, 96, reason="the same bounds, to find large triangles only"
     ),
     "accelerators.cone_hierarchy.descent/descend_triangles": Budget(88, 144, reason=_WALK),
-    "accelerators.cone_hierarchy.descent/descend_big": Budget(80, reason=_WALK),
+    "accelerators.cone_hierarchy.descent/descend_big": Budget(72, reason=_WALK),
     "accelerators.paper_hierarchy.breadth_first/expand": Budget(128, 48, reason=_ANGLES + "; " + _WALK),
     "accelerators.paper_hierarchy.cones/build_parents_of_rays": Budget(64, 48, reason=_ANGLES),
     "accelerators.paper_hierarchy.cones/build_level": Budget(64, 48, reason=_ANGLES),

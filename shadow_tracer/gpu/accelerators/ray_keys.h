@@ -1,21 +1,9 @@
-// needs: device/lanes.h
+// needs: exact/cube.h
 // constants: CURVE_BITS
 // lanes
-// Where LANES rays lie on the cube of directions, and their cells and keys there; see ray_keys.py.
+// Cells and keys of LANES rays on their cube faces; see ray_keys.py.
 struct WIDE(CubeCell) {
     enum { CELLS = 1 << CURVE_BITS };
-    MASK face;
-    REAL u, v;
-
-    inline void look(REAL x, REAL y, REAL z) {
-        typedef WIDE(Lanes) Lanes;
-        const REAL ax = Lanes::absolute(x), ay = Lanes::absolute(y), az = Lanes::absolute(z), none = 0.0f;
-        const MASK on_x = (ax >= ay) & (ax >= az), on_y = ay >= az, first = 0, second = 2, third = 4;
-        const REAL major = on_x ? x : on_y ? y : z, size = Lanes::absolute(major);
-        face = (on_x ? first : on_y ? second : third) + ((major < none) & 1);
-        u = (on_x ? y : on_y ? z : x) / size;
-        v = (on_x ? z : on_y ? x : y) / size;
-    }
     // Cell of a face coordinate: monotone in x.
     static inline MASK cell(REAL x, REAL low, REAL scale) {
         const REAL at = (x - low) * scale, none = 0.0f, last = CELLS - 1;

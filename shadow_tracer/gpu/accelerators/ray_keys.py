@@ -32,9 +32,9 @@ native.constants(CURVE_BITS=CURVE_BITS)
 
 @wp.func_native(
     native.snippet(
-        "accelerators/ray_keys.h",
+        "exact/cube.h",
         call="""
-    CubeCell1 at;
+    OnCube1 at;
     at.look(ray[0], ray[1], ray[2]);
     return wp::vec3(at.u, at.v, (float)at.face);""",
     )

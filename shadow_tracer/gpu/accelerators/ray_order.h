@@ -7,7 +7,7 @@ struct RayOrder {
     const int count;
     const wp::array_t<wp::vec4>& rays;
     const wp::array_t<wp::uint8>& group;
-    CubeCell16 at;
+    OnCube16 at;
     int taken[16];
 
     // Those from `base` on that are in the tree; false if none is. Lanes behind the last sample repeat the first.

@@ -31,6 +31,7 @@ MAYBE = wp.constant(2)
 # Floor of the magnitude that scales the filter's bounds: keeps float64 frame errors (below 2^-48) covered next to the
 # light.
 MAGNITUDE_FLOOR = 2.0**-20
+native.constants(MAGNITUDE_FLOOR=MAGNITUDE_FLOOR)
 
 
 @native.func_native("exact/decision.h", calls="Decision::of")

@@ -21,15 +21,22 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.participants import Participants
 from shadow_tracer.gpu.accelerators.ray_keys import CURVE_BITS, RayOrder
-from shadow_tracer.gpu.device import forms
-from shadow_tracer.gpu.exact.decision import ray_magnitude
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.exact.light_space import FACES, LightSpace, ray_depth, space_of
+from shadow_tracer.gpu.exact.light_space import FACES, LightSpace, space_of
 
 QUANTITIES = 8
 GONE = -1.0e30
 _PAD = 2.0**-21
+_RAY_QUANTITIES = 5
 _MOST_TABLE_BITS = 8
+
+# Bits of a node's flags.
+DONE = wp.constant(1)
+WHOLE = wp.constant(2)
+
+native.constants(NODE_DONE=DONE, NODE_WHOLE=WHOLE)
+native.constants(BOX_QUANTITIES=QUANTITIES, BOX_GONE=GONE, BOX_PAD=_PAD, LEAF_QUANTITIES=_RAY_QUANTITIES)
 
 
 @wp.struct
@@ -45,7 +52,7 @@ class RayTree:
     order: wp.array(dtype=int)  # sample of each ray
     boxes: wp.array(dtype=float)
     live: wp.array(dtype=int)  # of a leaf: bits of its live rays; of a node: number of children with live rays
-    flags: wp.array(dtype=int)  # DONE and ACCEPTED, see descent.py
+    flags: wp.array(dtype=int)  # DONE and WHOLE, see descent.py
     offset: wp.array(dtype=int)
     table: wp.array(dtype=int)  # first ray of each cell, in key order; one more at the end
     fit: wp.array(dtype=wp.vec4)
@@ -53,118 +60,33 @@ class RayTree:
     visits: wp.array(dtype=int)  # times each node was looked at, if it has room for them (``count_visits``)
 
 
-@wp.func
+@native.func_native("accelerators/cone_hierarchy/boxes.h", calls="NodeBox::store")
 def store_box(tree: RayTree, node: int, low: wp.vec3, high: wp.vec3, nearest: float, farthest: float):
     """Write the box of node number ``node``; high < low says that it has no rays."""
-    branch = 1 << tree.log_branch
-    base = (node >> tree.log_branch) * QUANTITIES * branch + (node & (branch - 1))
-    if high[0] < low[0]:
-        for k in range(QUANTITIES):
-            tree.boxes[base + k * branch] = wp.where(k >= 3 and k < 6, GONE, 0.0)
-        return
-    for k in range(3):
-        tree.boxes[base + k * branch] = 0.5 * (low[k] + high[k])
-        tree.boxes[base + (3 + k) * branch] = 0.5 * (high[k] - low[k]) + _PAD
-    tree.boxes[base + 6 * branch] = nearest
-    tree.boxes[base + 7 * branch] = farthest
+    ...
 
 
-@wp.kernel(enable_backward=False)
-def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4), tree: RayTree):
-    """Copy the rays of a leaf together and bound them. One thread per leaf that could be used."""
-    leaf = wp.tid()
-    space = space_of(light[0])
-    size = 1 << tree.log_leaf
-    first = leaf << tree.log_leaf
-    low = wp.vec3(2.0, 2.0, 2.0)
-    high = wp.vec3(-2.0, -2.0, -2.0)
-    nearest = float(wp.inf)
-    farthest = float(-wp.inf)
-    live = int(0)
-    for j in range(size):
-        to = leaf * 5 * size + j
-        if first + j < tree.counts[0]:
-            ray = rays[tree.order[first + j]]
-            inverse = 1.0 / wp.max(wp.max(wp.abs(ray[0]), wp.abs(ray[1])), wp.abs(ray[2]))
-            direction = wp.vec3(ray[0] * inverse, ray[1] * inverse, ray[2] * inverse)
-            depth = ray_depth(space, ray, inverse)
-            low = wp.min(low, direction)
-            high = wp.max(high, direction)
-            nearest = wp.min(nearest, depth)
-            farthest = wp.max(farthest, depth)
-            live = live | (1 << j)
-            for k in range(4):
-                tree.leaves[to + k * size] = ray[k]
-            tree.leaves[to + 4 * size] = ray_magnitude(ray)
-    nearest -= _PAD * wp.abs(nearest)
-    farthest += _PAD * wp.abs(farthest)
-    tree.live[leaf] = live
-    tree.flags[leaf] = 0
-    store_box(tree, leaf, low, high, nearest, farthest)
-
-
-# make_leaves for 16 rays a leaf, in the CPU's vector registers. Minima are found by halving: a running minimum would
-# have to be taken in order.
-@wp.func_native(
-    r"""
-#if !defined(__CUDA_ARCH__)
-    const int n = tree.counts.data[0];
-    float* out = tree.leaves.data + 80 * (size_t)leaf;
-    float *U = out, *V = out + 16, *W = out + 32, *Z = out + 48, *M = out + 64;
-    const int first = 16 * leaf;
-    const int used = n - first < 16 ? n - first : 16;
-    float* box = tree.boxes.data + 128 * (size_t)(leaf / 16) + leaf % 16;
-    tree.flags.data[leaf] = 0;
-    tree.live.data[leaf] = used > 0 ? (1 << used) - 1 : 0;
-    if (used <= 0) {
-        for (int k = 0; k < 8; ++k)
-            box[16 * k] = k >= 3 && k < 6 ? -1.0e30f : 0.0f;
-        return;
-    }
-    for (int j = 0; j < 16 && first + 64 + j < n; ++j)
-        __builtin_prefetch(rays.data + tree.order.data[first + 64 + j]);
-    for (int j = 0; j < 16; ++j) {
-        // Lanes without a ray repeat the first one, and are not live.
-        const wp::vec4 ray = rays.data[tree.order.data[first + (j < used ? j : 0)]];
-        U[j] = ray[0]; V[j] = ray[1]; W[j] = ray[2]; Z[j] = ray[3];
-    }
-    float least[4][16], most[4][16];
-    const float inverse_mode = space.inverse ? 1.0f : 0.0f;
-    for (int j = 0; j < 16; ++j) {
-        const float u = fabsf(U[j]), v = fabsf(V[j]), w = fabsf(W[j]);
-        M[j] = u + v + fabsf(Z[j]) + 0x1p-20f;
-        float size = u > v ? u : v;
-        size = size > w ? size : w;
-        const float inverse = 1.0f / size;
-        least[0][j] = most[0][j] = U[j] * inverse;
-        least[1][j] = most[1][j] = V[j] * inverse;
-        least[2][j] = most[2][j] = W[j] * inverse;
-        least[3][j] = most[3][j] = (inverse_mode * 1.0f + (1.0f - inverse_mode) * Z[j]) * inverse;
-    }
-    for (int k = 0; k < 4; ++k) {
-        for (int half = 8; half > 0; half /= 2)
-            for (int j = 0; j < half; ++j) {
-                least[k][j] = least[k][j] < least[k][j + half] ? least[k][j] : least[k][j + half];
-                most[k][j] = most[k][j] > most[k][j + half] ? most[k][j] : most[k][j + half];
-            }
-        if (k < 3) {
-            box[16 * k] = 0.5f * (least[k][0] + most[k][0]);
-            box[16 * (3 + k)] = 0.5f * (most[k][0] - least[k][0]) + 0x1p-21f;
-        }
-    }
-    box[16 * 6] = least[3][0] - 0x1p-21f * fabsf(least[3][0]);
-    box[16 * 7] = most[3][0] + 0x1p-21f * fabsf(most[3][0]);
-#endif
-    """
-)
+@native.func_native("accelerators/cone_hierarchy/leaves.h", calls="Leaf1::make")
 def make_leaf(leaf: int, space: LightSpace, rays: wp.array(dtype=wp.vec4), tree: RayTree):
-    """``make_leaves`` for one leaf of 16 rays."""
+    """Copy the rays of a leaf together and bound them."""
+    ...
+
+
+@native.func_native("accelerators/cone_hierarchy/leaves.h@16", calls="Leaf16::make")
+def make_leaf_of_sixteen(leaf: int, space: LightSpace, rays: wp.array(dtype=wp.vec4), tree: RayTree):
+    """``make_leaf`` for a leaf of 16 rays, in vector registers."""
     ...
 
 
 @wp.kernel(enable_backward=False)
-def make_leaves_wide(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4), tree: RayTree):
+def make_leaves(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4), tree: RayTree):
+    """One thread per leaf that could be used."""
     make_leaf(wp.tid(), space_of(light[0]), rays, tree)
+
+
+@wp.kernel(enable_backward=False)
+def make_leaves_wide(light: wp.array(dtype=LightFrame), rays: wp.array(dtype=wp.vec4), tree: RayTree):
+    make_leaf_of_sixteen(wp.tid(), space_of(light[0]), rays, tree)
 
 
 @wp.kernel(enable_backward=False)
@@ -212,17 +134,7 @@ def find_cells(keys: wp.array(dtype=int), tree: RayTree):
     tree.table[entry] = low
 
 
-@wp.func_native(
-    r"""
-    const int count = tree.counts.data[0], shift = 2 * (14 - tree.table_bits), last = 6 << (2 * tree.table_bits);
-    int entry = 0;
-    for (int i = 0; i < count; ++i)
-        for (const int cell = keys.data[i] >> shift; entry <= cell; ++entry)
-            tree.table.data[entry] = i;
-    for (; entry <= last; ++entry)
-        tree.table.data[entry] = count;
-    """
-)
+@native.func_native("accelerators/cone_hierarchy/cells.h", calls="Cells::sweep")
 def sweep(keys: wp.array(dtype=int), tree: RayTree):
     """The lookup table in one sweep over the keys."""
     ...
@@ -256,7 +168,7 @@ class RayTreeBuffers:
         total = self._offsets[-1]
         tree = RayTree()
         tree.log_leaf, tree.log_branch = log_leaf, log_branch
-        tree.leaves = wp.empty(self._offsets[1] * 5 << log_leaf, dtype=float, device=device)
+        tree.leaves = wp.empty(self._offsets[1] * _RAY_QUANTITIES << log_leaf, dtype=float, device=device)
         tree.order = order.order
         tree.boxes = wp.empty(total * QUANTITIES, dtype=float, device=device)
         tree.live = wp.empty(total, dtype=int, device=device)

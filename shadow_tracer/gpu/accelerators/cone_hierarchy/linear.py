@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.cone_hierarchy import descent, descent_wide
+from shadow_tracer.gpu.accelerators.cone_hierarchy import descent
 from shadow_tracer.gpu.accelerators.cone_hierarchy.boxes import RayTreeBuffers
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.participants import Participants
@@ -69,7 +69,7 @@ class LinearHierarchy:
         occluders.records = self._context.records.of(light)
         inputs = [buffers.light_frame_of[light], tree, occluders, self._participants.answers(work)]
         if self._wide:
-            wp.launch(descent_wide.descend_wide, dim=1, inputs=inputs, device=device)
+            wp.launch(descent.descend_wide, dim=1, inputs=inputs, device=device)
             return
         self._big_count.zero_()
         inputs += [self._big, self._big_count]

@@ -14,8 +14,8 @@ import warp as wp
 from node_fuzz import LIGHTS, bundles, decide_all
 
 from shadow_tracer import Bounds, ShadowTracer
-from shadow_tracer.gpu.accelerators.cone_hierarchy import descent
 from shadow_tracer.gpu.accelerators.cone_hierarchy.boxes import RayTree
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import make_light_frame
 from shadow_tracer.gpu.exact.light_space import LightSpace, face_of, make_light_space
@@ -27,25 +27,24 @@ _ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
 # What becomes of (triangle, node) on one face: _ABSENT if the triangle casts nothing or cannot touch the face, _BESIDE
 # for a leaf outside its cells, else the answer of the box test.
 @wp.func_native(
-    descent._THREAD
-    + r"""
-    wp::vec4 at[3];
-    const float size = corners_of(thread, 0, at);
-    if (!load((const wp::vec4*)occluders.records.data + 4 * (size_t)thread, it))
-        return -1;
-    if (!(touched_by(at, size) >> face & 1) || !look(at[0], at[1], at[2], size, face, seen))
+    native.snippet(
+        "accelerators/cone_hierarchy/descent.h",
+        call="""
+    Descent it = { { space, tree, occluders }, tree, answers, 0, 0, 0 };
+    Corners1 corners;
+    Runs runs;
+    if (!it.triangle.load(thread) || !(it.triangle.look(thread, corners) >> face & 1)
+        || !it.triangle.enter(face, corners, runs))
         return -1;
     if (number < tree.offset.data[1]) {
-        int run[8];
         bool within = false;
-        const int n = runs(seen, face, run);
-        for (int k = 0; k < n; ++k)
-            within = within || (run[2 * k] <= number && number <= run[2 * k + 1]);
+        for (int k = 0; k < runs.count; ++k)
+            within = within || (runs.first[k] <= number && number <= runs.last[k]);
         if (!within)
             return -2;
     }
-    return box1(number);
-    """
+    return it.judge(number);""",
+    )
 )
 def judge(
     thread: int, face: int, number: int, space: LightSpace, tree: RayTree, occluders: Occluders, answers: Answers

@@ -29,23 +29,23 @@ _MUTANTS = {
     ),
     "corners projected wherever they are": (
         _TREE + "test_box_nodes.py",
-        [("exact/faces.py", "if (!(front > 0x1p-18f * size))", "if (false)")],
+        [
+            (
+                "exact/faces.h",
+                "bounded = Lanes::bits((front > 0x1p-18f * corners.reach) & corners.near());",
+                "bounded = Lanes::ALL;",
+            )
+        ],
     ),
     "accepted by the edges alone": (
         _TREE + "test_box_nodes.py",
-        [
-            (
-                _TREE + "descent.py",
-                "return whole && middle - reach + it.p[3] * t1 > plane ? 2 : 1;",
-                "return whole ? 2 : 1;",
-            )
-        ],
+        [("exact/box.h", " & (middle[3] - reach[3] + far > plane)", "")],
     ),
     "no pads": (
         _TREE + "test_box_nodes.py",
         [
-            ("exact/faces.py", "it.edge = 2.0f * record[0][3];", "it.edge = 0.0f;"),
-            ("exact/faces.py", "it.plane = 7.0f * (record[1][3] + record[2][3]);", "it.plane = 0.0f;"),
+            ("exact/planes.h", "edge = 2.0f * row[3];", "edge = 0.0f;"),
+            ("exact/planes.h", "plane = 7.0f * (row[7] + row[11]);", "plane = 0.0f;"),
             (_TREE + "boxes.py", "_PAD = 2.0**-21", "_PAD = 0.0"),
         ],
     ),
