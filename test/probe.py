@@ -4,6 +4,7 @@ device side keeps things."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -50,6 +51,42 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
 def trace_points(tracer: ShadowTracer, points: Any, lights: Any, bias: float = 0.0, valid: Any = None) -> Any:
     """States of (N, 3) points, those that are not ``valid`` left out, with the counters that ``states_at`` drops."""
     return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid)
+
+
+@dataclass(frozen=True)
+class RayTree:
+    """The ray tree of ``cone_hierarchy/linear``, what it was made of, and what a descent takes beside it."""
+
+    tree: Any
+    order: Any
+    frame: Any
+    scene: Any
+    group: Any
+    count: int
+    space: Any
+    occluders: Any
+    answers: Any
+
+
+def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayTree:
+    """The tree as it is before any triangle has gone through it: descents close nodes that are done."""
+    from shadow_tracer.gpu.exact.faces import Occluders
+    from shadow_tracer.gpu.exact.light_frame import make_light_frame
+    from shadow_tracer.gpu.exact.light_space import make_light_space
+
+    inside: Any = tracer._engine.inside
+    pipeline, taken = inside._pipeline, []
+    pipeline._descend = taken.append
+    tracer.occluded(points, light, bias)
+    del pipeline._descend
+    frame, scene, who = inside._frame, inside._scene, pipeline._participants
+    occluders = Occluders()
+    occluders.count, occluders.triangles = scene.triangle_count, scene.triangles
+    occluders.records, occluders.corners = inside._context.records.memory, pipeline._corners.of(0)
+    space = make_light_space(make_light_frame(light, inside._anchor))
+    tree, answers = pipeline._buffers.tree, who.answers(taken[0])
+    found = int(who.counts.numpy()[0])
+    return RayTree(tree, pipeline._order, frame, scene, who.group, found, space, occluders, answers)
 
 
 def forget_anchor(tracer: ShadowTracer) -> None:

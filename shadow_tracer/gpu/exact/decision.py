@@ -54,24 +54,7 @@ def ray_magnitude(ray: wp.vec4) -> float:
     return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[3]) + MAGNITUDE_FLOOR
 
 
-# The filter as C++, so that native loops of pipelines use the same code: record points at the 16 floats of a triangle.
-FILTER = r"""
-    auto filter = [](const wp::vec4& ray, float magnitude, const wp::vec4* record) -> int {
-        const wp::vec4 &ab = record[0], &bc = record[1], &ca = record[2], &plane = record[3];
-        const float edge = ab[3] * (magnitude + fabsf(ray[2]));
-        const float depth = bc[3] * magnitude + ca[3];
-        const float e0 = ab[0] * ray[0] + ab[1] * ray[1] + ab[2] * ray[2];
-        const float e1 = bc[0] * ray[0] + bc[1] * ray[1] + bc[2] * ray[2];
-        const float e2 = ca[0] * ray[0] + ca[1] * ray[1] + ca[2] * ray[2];
-        const float g = plane[0] * ray[0] + plane[1] * ray[1] + plane[2] * ray[3] - plane[3];
-        // Comparisons with NaN fail, and what fails both ways is a maybe.
-        if (e0 < -edge || e1 < -edge || e2 < -edge || g < -depth)
-            return 0;
-        return e0 > edge && e1 > edge && e2 > edge && g > depth ? 1 : 2;
-    };
-"""
-
-# The same for sixteen rays, [U V W Z magnitude][ray], as bit masks: of those the answer is not no for, and yes for. For
+# For sixteen rays, [U V W Z magnitude][ray], as bit masks: of those the answer is not no for, and yes for. For
 # Clang, that is for the CPU: its vector types become whatever registers there are.
 SIXTEEN = r"""
     typedef float Sixteen __attribute__((ext_vector_type(16), aligned(4)));

@@ -61,12 +61,12 @@ def space_of(frame: LightFrame) -> LightSpace:
     return space
 
 
-@wp.func
+@wp.func_native(
+    native.snippet("exact/light_space.h", call="return LightDepth1::of(ray[3], inverse_norm, space.inverse != 0);")
+)
 def ray_depth(space: LightSpace, ray: wp.vec4, inverse_norm: float) -> float:
     """t of a ray whose 1/|h| is ``inverse_norm``."""
-    if space.inverse != 0:
-        return inverse_norm
-    return ray[3] * inverse_norm
+    ...
 
 
 @wp.func
@@ -77,10 +77,10 @@ def plane_of(space: LightSpace, plane: wp.vec4) -> wp.vec4:
     return wp.vec4(plane[0], plane[1], -plane[3], wp.min(plane[2] - space.s * plane[3], 0.0))
 
 
-@wp.func
+@native.func_native("exact/light_space.h", calls="LightDepth1::magnitude")
 def magnitude_bound(nearest: float, farthest: float) -> float:
     """M of a node whose depths lie between the two values."""
-    return 4.0 + 2.001 * wp.max(wp.abs(nearest), wp.abs(farthest))
+    ...
 
 
 @wp.func

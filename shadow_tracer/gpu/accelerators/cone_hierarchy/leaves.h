@@ -1,4 +1,4 @@
-// needs: device/lanes.h accelerators/cone_hierarchy/boxes.h
+// needs: exact/light_space.h accelerators/cone_hierarchy/boxes.h
 // constants: BOX_PAD LEAF_QUANTITIES MAGNITUDE_FLOOR
 // arguments: LightSpace space, RayTree tree
 // lanes
@@ -12,7 +12,7 @@ struct WIDE(Leaf) {
         const REAL two = u > v ? u : v, inverse = one / (two > w ? two : w);
         magnitude = u + v + Lanes::absolute(ray[3]) + (float)MAGNITUDE_FLOOR;
         const REAL at[4] = { ray[0] * inverse, ray[1] * inverse, ray[2] * inverse,
-                             (inverse_mode ? one : ray[3]) * inverse };
+                             WIDE(LightDepth)::of(ray[3], inverse, inverse_mode) };
         for (int k = 0; k < 4; ++k) {
             low[k] = at[k] < low[k] ? at[k] : low[k];
             high[k] = at[k] > high[k] ? at[k] : high[k];

@@ -1,4 +1,4 @@
-// needs: device/lanes.h exact/faces.h@1 exact/planes.h@1 exact/box.h accelerators/cone_hierarchy/cells.h
+// needs: device/lanes.h exact/faces.h@1 exact/planes.h@1 exact/box.h exact/light_space.h accelerators/cone_hierarchy/cells.h
 // constants: BOX_QUANTITIES
 // arguments: LightSpace space, RayTree tree, Occluders occluders
 // lanes
@@ -72,7 +72,7 @@ struct WIDE(Traveller) {
                                        & (least <= nearest));
         if (LANES == 1 && !within)
             return 0;
-        const REAL a = Lanes::absolute(least), b = Lanes::absolute(most), m = 4.0f + 2.001f * (a > b ? a : b);
+        const REAL m = WIDE(LightDepth)::magnitude(least, most);
         REAL middle[4], reach[4];
         for (int k = 0; k < 4; ++k) {
             const float* n = k < 3 ? planes.n[k] : planes.p;

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
+import probe
 import pytest
 import warp as wp
 from node_fuzz import LIGHTS, bundles, decide_all
@@ -17,8 +17,7 @@ from shadow_tracer import Bounds, ShadowTracer
 from shadow_tracer.gpu.accelerators.cone_hierarchy.boxes import RayTree
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.faces import Occluders
-from shadow_tracer.gpu.exact.light_frame import make_light_frame
-from shadow_tracer.gpu.exact.light_space import LightSpace, face_of, make_light_space
+from shadow_tracer.gpu.exact.light_space import LightSpace, face_of
 from shadow_tracer.gpu.visibility.answers import Answers
 
 _ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
@@ -81,22 +80,12 @@ def _outcome(device: str, name: str, seed: int) -> Outcome:
     bounds = Bounds(len(triangles), len(points), 1, 64, 1)
     tracer = ShadowTracer("cone_hierarchy", "linear_scalar", device=device, bounds=bounds)
     tracer.scene.put("mesh", corners.reshape(-1, 3), triangles)
-    engine: Any = tracer._engine.inside
-    pipeline = engine._pipeline
-    taken: list[Any] = []
-    # The tree as it is before any triangle went through it: descents close nodes that are done.
-    pipeline._descend = taken.append
-    tracer.occluded(points, light, 0.02)
-    work, space = taken[0], make_light_space(make_light_frame(light, engine._anchor))
-    tree, frame, scene = pipeline._buffers.tree, engine._frame, engine._scene
-    occluders = Occluders()
-    occluders.count, occluders.triangles = scene.triangle_count, scene.triangles
-    occluders.records = engine._context.records.memory
-    occluders.corners = pipeline._corners.of(0)
+    built = probe.ray_tree(tracer, points, light, 0.02)
+    tree, frame, scene = built.tree, built.frame, built.scene
     offset = tree.offset.numpy()
     nodes = int(offset[tree.levels])
     out = wp.empty((nodes, len(triangles), 6), dtype=int, device=device)
-    inputs = [space, tree, occluders, pipeline._participants.answers(work), out]
+    inputs = [built.space, tree, built.occluders, built.answers, out]
     wp.launch(judge_all, dim=out.shape, inputs=inputs, device=device)
     hidden = wp.empty((len(points), len(triangles)), dtype=wp.uint8, device=device)
     homogeneous = wp.vec4d(*light.homogeneous)
