@@ -31,6 +31,7 @@ from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 
 FACES = wp.constant(6)
+native.constants(FACES=FACES)
 
 
 @wp.struct

@@ -1,27 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangles into tiles and tiles traced on CUDA; ``binning_wide.py`` does the same on the CPU.
+"""Triangles into tiles, and on the CPU tiles traced.
 
-Entries are counted, scanned, and emitted, so that each has a running number that says whether it belongs to the part at
-hand: of a part, no more entries than the list holds. A triangle that may touch many columns is not left to one thread:
-it becomes items of a few columns each. Emitted entries are brought together by tile (counted on the way, scanned,
-scattered); lists longer than 256 are cut into chunks. A warp's 32 lanes, one ray each, take a chunk at a time; all of
-them read the same record. Answers may be stored by several warps: storing is idempotent.
+A triangle is taken to a tile's box by the planes that the shadow test has stored (``exact/planes.h``): on a face of a
+light an edge plane is A u + B v + C, and the triangle's own plane P is linear in (u, v, t). A box is rejected if a
+plane is negative all over it by more than its pad, or if the triangle's bounds miss it; the triangle covers the box if
+every plane is positive all over it by more than its pad. So a box that holds an occluded ray is not rejected, and every
+ray of a covered box is occluded, wherever the light is; there are no poles and no seams. Pads are those of
+``light_space.py``, with M = 6 + 2.001 max |t|. The text of all that is ``side.h``, for one box and for sixteen.
+
+On CUDA (``binning.h``; ``tracing.py`` goes on from there) entries are counted, scanned, and emitted, so that each has a
+running number that says whether it belongs to the part at hand: of a part, no more entries than the list holds. A
+triangle that may touch many columns is not left to one thread: it becomes items of a few columns each. Emitted entries
+are brought together by tile (counted on the way, scanned, scattered); lists longer than 256 are cut into chunks. A
+warp's 32 lanes, one ray each, take a chunk at a time; all of them read the same record. Answers may be stored by
+several warps: storing is idempotent.
+
+On the CPU (``binning16.h``, ``entries.h``) one thread takes triangles in order, those that may concern any ray
+(``candidates.py``), sixteen triangles, boxes or rays at a time. (Tile, triangle) entries gather in a list of limited
+length; whenever it is full, it is sorted by tile and traced, tile by tile: the rays of a tile stay in registers while
+its triangles pass by. A limit far below all entries has two advantages: the list stays in the cache, and tiles that are
+finished take no more entries.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.light_grid.tile_test import SIDE
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
-from shadow_tracer.gpu.exact.faces import TRIANGLE, Occluders
+from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.device.counters import ENTRIES, LARGEST_TILE, OVERFLOWS, PASSES
+from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import LightSpace, space_of
+from shadow_tracer.gpu.exact.records import BLOCK
 from shadow_tracer.gpu.visibility.answers import Answers
 
 # Columns of an item, and columns from which on a triangle becomes items.
 _ITEM_COLUMNS = 4
 _MANY_COLUMNS = 8
+native.constants(ITEM_COLUMNS=_ITEM_COLUMNS, MANY_COLUMNS=_MANY_COLUMNS)
 
 
 @wp.struct
@@ -45,179 +62,7 @@ class Bins:
     emitted: wp.array(dtype=int)
 
 
-# One triangle and one thread. Tests as in tile_test.SIDE_SIXTEEN, a box at a time. The sink gets tiles that take an
-# entry; `cover` those that need none.
-_THREAD = (
-    TRIANGLE
-    + SIDE
-    + r"""
-    const bool aligned = tiles.aligned.data[place] != 0;
-    const int* groups = tiles.groups.data;
-    wp::int64 nodes = 0;
-    Planes it;
-    auto box1 = [&](const float* boxes, int number, const Side& s, bool& covered) -> bool {
-        const float* b = boxes + 96 * (size_t)(number >> 4) + (number & 15);
-        const float cu = b[0], cv = b[16], eu = b[32], ev = b[48], t0 = b[64], t1 = b[80];
-        covered = false;
-        ++nodes;
-        if (!(cu - eu <= s.u1 && cu + eu >= s.u0 && cv - ev <= s.v1 && cv + ev >= s.v0 && t0 <= s.nearest))
-            return false;
-        if (s.blind)
-            return eu >= 0.0f;
-        const float m = 6.0f + 2.001f * (fabsf(t0) > fabsf(t1) ? fabsf(t0) : fabsf(t1));
-        const float edge = s.edge * m, plane = s.plane * m;
-        bool all = true;
-        for (int k = 0; k < 3; ++k) {
-            const float c = s.a[k] * cu + s.b[k] * cv + s.c[k], r = s.ra[k] * eu + s.rb[k] * ev;
-            if (!(c + r >= -edge))
-                return false;
-            all = all && c - r > edge;
-        }
-        const float g = s.pa * cu + s.pb * cv + s.pc, h = s.rpa * eu + s.rpb * ev;
-        if (!(g + h + s.pt * t0 >= -plane))
-            return false;
-        covered = all && g - h + s.pt * t1 > plane;
-        return true;
-    };
-    auto cover = [&](int first, int count) {
-        for (int tile = first; tile < first + count; ++tile)
-            tiles.covered.data[tile] = 1;
-    };
-    // The side of a triangle on a face; false if it cannot touch the face.
-    auto side_of = [&](int triangle, int face, Side& side) -> bool {
-        const int group = 6 * place + face;
-        if (groups[6 * group + 1] == 0)
-            return false;
-        wp::vec4 at[3];
-        const float size = corners_of(triangle, place * corners_per_light, at);
-        if (!aligned && !(touched_by(at, size) >> face & 1))
-            return false;
-        Seen seen;
-        seen.bounded = false;
-        if (size < far_out) {
-            if (aligned && most3(at[0][2], at[1][2], at[2][2]) < -0x1p-18f * size)
-                return false;
-            if (!look(at[0], at[1], at[2], size, face, seen))
-                return false;
-        }
-        const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
-        if (seen.bounded) {
-            const wp::vec4 grid = tiles.fit.data[group];
-            if (seen.high[first] < grid[0] || seen.high[second] < grid[1]
-                || (seen.low[first] - grid[0]) * grid[2] > 4100.0f || (seen.low[second] - grid[1]) * grid[3] > 4100.0f)
-                return false;
-        }
-        const size_t record = (size_t)place * occluders.count + triangle;
-        if (!load((const wp::vec4*)occluders.records.data + 4 * record, it))
-            return false;
-        side = turn(it, face);
-        if (seen.bounded) {
-            side.bounded = true;
-            side.u0 = seen.low[first], side.u1 = seen.high[first];
-            side.v0 = seen.low[second], side.v1 = seen.high[second];
-            side.nearest = seen.nearest;
-        }
-        return true;
-    };
-    // First and last column of a group that the side may touch.
-    auto columns_of = [&](int group, const Side& side, int& from, int& to) {
-        const wp::vec4 grid = tiles.fit.data[group];
-        auto cell = [&](float u) -> int {
-            const float x = (u - grid[0]) * grid[2] * 0.0625f;
-            return (int)(x > 0.0f ? (x < 255.0f ? x : 255.0f) : 0.0f);
-        };
-        from = tiles.lookup.data[256 * (size_t)group + cell(side.u0)][0];
-        to = tiles.lookup.data[256 * (size_t)group + cell(side.u1)][1];
-    };
-    auto visit = [&](const Side& side, int group, int from, int to, auto sink) {
-        const int *of = groups + 6 * group, length = of[2] / 512, first = of[3], first_block = of[5];
-        const int all_blocks = (of[1] + 511) / 512;
-        bool covered;
-        for (int column = from; column <= to; ++column) {
-            if (!box1(tiles.columns.data, first + column, side, covered))
-                continue;
-            const int block0 = column * length;
-            const int blocks = all_blocks - block0 < length ? all_blocks - block0 : length;
-            if (covered) {
-                cover(16 * (first_block + block0), 16 * blocks);
-                continue;
-            }
-            for (int b = 0; b < blocks; ++b) {
-                const int block = first_block + block0 + b;
-                if (!box1(tiles.blocks.data, 16 * (first + column) + b, side, covered))
-                    continue;
-                if (covered) {
-                    cover(16 * block, 16);
-                    continue;
-                }
-                for (int k = 0; k < 16; ++k) {
-                    if (!box1(tiles.boxes.data, 16 * block + k, side, covered))
-                        continue;
-                    if (covered)
-                        cover(16 * block + k, 1);
-                    else
-                        sink(16 * block + k);
-                }
-            }
-        }
-    };
-"""
-)
-
-# Entries of what one thread does: emitted from number `before` on as far as they belong to the window, or just counted.
-_SINK = r"""
-    wp::int64 number = before;
-    auto sink = [&](int tile) {
-        const wp::int64 at = number++ - window;
-        if (emit == 0 || at < 0 || at >= bins.capacity)
-            return;
-        bins.tile.data[at] = tile;
-        bins.record.data[at] = place * occluders.count + triangle;
-        bins.rank.data[at] = wp::atomic_add(&bins.length.data[tile], 1);
-    };
-"""
-
-_COUNTED = r"""
-    if (emit == 0 && nodes > 0)
-        wp::atomic_add(answers.counters.data + answers.counters.shape[1] * (triangle & 63) + nodes_visited, nodes);
-    return number - before;
-"""
-
-
-@wp.func_native(
-    _THREAD
-    + f"const int item_columns = {_ITEM_COLUMNS}, many_columns = {_MANY_COLUMNS};\n"
-    + r"""
-    int faces_out = 0;
-    for (int face = 0; face < 6; ++face) {
-        Side side;
-        if (!side_of(triangle, face, side))
-            continue;
-        int from, to;
-        columns_of(6 * place + face, side, from, to);
-        if (to - from + 1 <= many_columns)
-            continue;
-        const int n = (to - from + item_columns) / item_columns, room = bins.items.shape[0];
-        // As long as it does not fit, a thread takes all of the triangle by itself. The counter stays below room + n.
-        if (bins.item_count.data[0] > room - n)
-            continue;
-        const int slot = wp::atomic_add(&bins.item_count.data[0], n);
-        if (slot + n > room) {
-            // Too late: what is left of the room holds nothing.
-            for (int k = slot; k < room; ++k)
-                bins.items.data[k] = wp::vec4i(0, 0, 0, -1);
-            continue;
-        }
-        for (int k = 0; k < n; ++k) {
-            const int first = from + item_columns * k, last = first + item_columns - 1;
-            const int number = place * occluders.count + triangle;
-            bins.items.data[slot + k] = wp::vec4i(number, face, first, last < to ? last : to);
-        }
-        faces_out |= 1 << face;
-    }
-    bins.itemised.data[(size_t)place * occluders.count + triangle] = faces_out;
-    """
-)
+@native.func_native("accelerators/light_grid/binning.h", calls="Binning::itemise")
 def itemise(
     triangle: int,
     place: int,
@@ -232,22 +77,7 @@ def itemise(
     ...
 
 
-@wp.func_native(
-    _THREAD
-    + _SINK
-    + r"""
-    const int out = bins.itemised.data[(size_t)place * occluders.count + triangle];
-    for (int face = 0; face < 6; ++face) {
-        Side side;
-        if (out >> face & 1 || !side_of(triangle, face, side))
-            continue;
-        int from, to;
-        columns_of(6 * place + face, side, from, to);
-        visit(side, 6 * place + face, from, to, sink);
-    }
-    """
-    + _COUNTED
-)
+@native.func_native("accelerators/light_grid/binning.h", calls="Binning::whole")
 def bin_triangle(
     triangle: int,
     place: int,
@@ -265,16 +95,7 @@ def bin_triangle(
     ...
 
 
-@wp.func_native(
-    _THREAD
-    + _SINK
-    + r"""
-    Side side;
-    if (side_of(triangle, face, side))
-        visit(side, 6 * place + face, first_column, last_column, sink);
-    """
-    + _COUNTED
-)
+@native.func_native("accelerators/light_grid/binning.h", calls="Binning::item")
 def bin_item(
     triangle: int,
     place: int,
@@ -386,3 +207,89 @@ def bin_items(
     )
     if emit == 0:
         bins.offsets[i] = found
+
+
+@wp.struct
+class EntryList:
+    """Entries gathered between two tracings."""
+
+    capacity: int
+    bounded: int  # whether the capacity is smaller than it would be without a bound
+    tile: wp.array(dtype=int)
+    record: wp.array(dtype=int)
+    sorted: wp.array(dtype=int)
+    start: wp.array(dtype=int)  # per tile
+    total: wp.array(dtype=int)  # entries of each tile so far
+    count: wp.array(dtype=int)  # [entries waiting, traces]
+
+
+@native.func_native("accelerators/light_grid/binning16.h", calls="Binning16::light")
+def bin_light(
+    place: int,
+    first_record: int,
+    first_corner: int,
+    first_cluster: int,
+    last_cluster: int,
+    clusters: wp.array(dtype=int),
+    corners: wp.array(dtype=float),
+    space: LightSpace,
+    tiles: Tiles,
+    occluders: Occluders,
+    entries: EntryList,
+    answers: Answers,
+):
+    """The triangles of some clusters, and the light at ``place``; entries that are left stay in the list."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/entries.h", calls="Entries::finish")
+def trace_list(tiles: Tiles, occluders: Occluders, entries: EntryList, answers: Answers):
+    """Trace what is in the list."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def bin_wide(
+    lights: wp.array(dtype=LightFrame),
+    clusters: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    corners: wp.array(dtype=float),
+    tiles: Tiles,
+    occluders: Occluders,
+    entries: EntryList,
+    answers: Answers,
+):
+    """One thread. ``clusters``, ``ends`` and ``corners`` are those of ``candidates.py``."""
+    blocks = (occluders.count + BLOCK - 1) // BLOCK
+    first = int(0)
+    slots = 16 * tiles.counts[2]
+    for k in range(slots):
+        entries.total[k] = 0
+    entries.count[0] = 0
+    entries.count[1] = 0
+    before = answers.counters[0, ENTRIES]
+    for place in range(tiles.lights):
+        bin_light(
+            place,
+            place * occluders.count,
+            place * blocks * BLOCK,
+            first,
+            ends[place],
+            clusters,
+            corners,
+            space_of(lights[place]),
+            tiles,
+            occluders,
+            entries,
+            answers,
+        )
+        first = ends[place]
+    trace_list(tiles, occluders, entries, answers)
+    largest = int(0)
+    for k in range(slots):
+        largest = wp.max(largest, entries.total[k])
+    wp.atomic_max(answers.counters, 0, LARGEST_TILE, wp.int64(largest))
+    wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
+    entered = answers.counters[0, ENTRIES] - before
+    if entries.bounded != 0 and entered > wp.int64(entries.capacity):
+        wp.atomic_add(answers.counters, 0, OVERFLOWS, wp.int64(entries.count[1] - 1))

@@ -19,8 +19,8 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.slices import Slices
-from shadow_tracer.gpu.exact.decision import SIXTEEN
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.records import (
     BLOCK,
@@ -51,93 +51,7 @@ class Candidates:
     culled: wp.array(dtype=int)
 
 
-@wp.func_native(
-    "#if !defined(__CUDA_ARCH__)\n"
-    + SIXTEEN
-    + r"""
-    typedef double SixteenDoubles __attribute__((ext_vector_type(16)));
-    const int items = (clusters.triangles + 255) / 256, count = (clusters.triangles + 15) / 16;
-    // U, V, W, Z of a point of the world: three factors and a constant, and the magnitude of what that is a sum of.
-    double factor[4][3], constant[4], magnitude[4];
-    for (int c = 0; c < 4; ++c) {
-        const wp::vec3d& along = c == 0 ? frame.r : c == 1 ? frame.s : frame.f;
-        const double scale = c == 2 ? -frame.w_slope * frame.inverse_scale : frame.inverse_scale;
-        constant[c] = c == 2 ? frame.w_constant : 0.0;
-        magnitude[c] = constant[c];
-        for (int k = 0; k < 3; ++k) {
-            factor[c][k] = scale * along[k];
-            constant[c] -= factor[c][k] * frame.center[k];
-            magnitude[c] += fabs(factor[c][k] * frame.center[k]);
-        }
-    }
-    struct Plane { double normal[3], constant, slack; };
-    Plane plane[6][7];
-    int faces[6], face_count = 0;
-    for (int face = 0; face < 6; ++face) {
-        const int number = 6 * place + face, axis = face >> 1;
-        if (tiles.groups.data[6 * number + 1] == 0)
-            continue;
-        faces[face_count] = face;
-        const wp::vec4 fit = tiles.fit.data[number];
-        const wp::vec2 far = tiles.far.data[number];
-        const double sign = face & 1 ? -1.0 : 1.0;
-        int made = 0;
-        // x of one component, y of another and z: what is not negative at any occluding point.
-        auto add = [&](int one, double x, int other, double y, double z) {
-            Plane& p = plane[face_count][made++];
-            for (int k = 0; k < 3; ++k)
-                p.normal[k] = x * factor[one][k] + y * factor[other][k];
-            p.constant = x * constant[one] + y * constant[other] + z;
-            p.slack = 1.0 + fabs(x) * magnitude[one] + fabs(y) * magnitude[other] + fabs(z);
-        };
-        for (int q = 0; q < 2; ++q) {
-            const double low = fit[q], high = low + 4096.0 / fit[2 + q];
-            add((axis + 1 + q) % 3, 1.0, axis, -sign * (low - 0x1p-20 * (1.0 + fabs(low))), 0.0);
-            add((axis + 1 + q) % 3, -1.0, axis, sign * (high + 0x1p-20 * (1.0 + fabs(high))), 0.0);
-        }
-        add(axis, sign, axis, 0.0, 0.0);
-        add(axis, -sign, axis, 0.0, far[0]);
-        const double light = frame.w_slope > 0.0 ? frame.w_constant / frame.w_slope : HUGE_VAL;
-        add(3, 1.0, 3, 0.0, -(light < far[1] ? light - 0x1p-20 * fabs(light) : far[1]));
-        ++face_count;
-    }
-    int found = first;
-    for (int item = 0; item < items; ++item) {
-        const float* box = clusters.boxes.data + 96 * (size_t)item;
-        SixteenDoubles low[3], high[3], most[3];
-        for (int k = 0; k < 3; ++k) {
-            low[k] = __builtin_convertvector(*(const Sixteen*)(box + 16 * k), SixteenDoubles);
-            high[k] = __builtin_convertvector(*(const Sixteen*)(box + 16 * (3 + k)), SixteenDoubles);
-            most[k] = high[k] > -low[k] ? high[k] : -low[k];
-        }
-        int seen = 0;
-        for (int f = 0; f < face_count; ++f) {
-            int here = 0xFFFF & ~seen;
-            for (int q = 0; q < 7 && here; ++q) {
-                const Plane& p = plane[f][q];
-                SixteenDoubles value = p.constant, size = p.slack;
-                for (int k = 0; k < 3; ++k) {
-                    value += p.normal[k] * (p.normal[k] >= 0.0 ? high[k] : low[k]);
-                    size += fabs(p.normal[k]) * most[k];
-                }
-                // What is not a number is not beyond anything.
-                const auto beyond = value < -0x1p-40 * size;
-                here &= ~bits(__builtin_convertvector(beyond, SixteenInts));
-            }
-            seen |= here;
-        }
-        if (everything)
-            seen = 0xFFFF;
-        for (; seen; seen &= seen - 1) {
-            const int cluster = 16 * item + __builtin_ctz(seen);
-            if (cluster < count)
-                list.data[found++] = cluster;
-        }
-    }
-    return found;
-"""
-    + "\n#else\nreturn 0;\n#endif\n"
-)
+@native.func_native("accelerators/light_grid/candidates.h", calls="Candidates16::list", otherwise="return 0;")
 def list_clusters(
     place: int,
     first: int,
@@ -145,7 +59,7 @@ def list_clusters(
     frame: LightFrame,
     tiles: Tiles,
     clusters: Clusters,
-    list: wp.array(dtype=int),
+    found: wp.array(dtype=int),
 ) -> int:
     """Store the clusters that may concern the rays of the light at ``place``, ascending, from ``first`` on; returns
     the end. With ``everything`` all of them."""
@@ -222,7 +136,7 @@ def find_candidates(
     triangles: wp.array(dtype=wp.vec3i),
     clusters: Clusters,
     candidates: Candidates,
-    list: wp.array(dtype=int),
+    found: wp.array(dtype=int),
     ends: wp.array(dtype=int),
 ):
     """One thread, the ``turn[0]``-th of ``turn[1]`` shares that do so: boxes, the clusters of each light of the pass
@@ -235,16 +149,16 @@ def find_candidates(
     blocks = (clusters.triangles + BLOCK - 1) // BLOCK
     first = int(0)
     for place in range(tiles.lights):
-        end = list_clusters(place, first, everything, lights[place], tiles, clusters, list)
+        end = list_clusters(place, first, everything, lights[place], tiles, clusters, found)
         ends[place] = end
         last = int(-1)
         for k in range(end - first):
-            block = list[first + divide(k, end - first, turn)] // _CLUSTERS
+            block = found[first + divide(k, end - first, turn)] // _CLUSTERS
             if block != last:
                 make_block(place, block, clusters.triangles, lights[place], vertices, triangles, candidates)
             last = block
         for k in range(first, end):
-            await_made(candidates.made, place * blocks + list[k] // _CLUSTERS)
+            await_made(candidates.made, place * blocks + found[k] // _CLUSTERS)
         first = end
 
 

@@ -10,17 +10,35 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.light_grid import binning, binning_wide, candidates, packing_wide, tracing
+from shadow_tracer.gpu.accelerators.light_grid import binning, candidates, tracing
 from shadow_tracer.gpu.accelerators.light_grid.candidates import CandidateRecords
 from shadow_tracer.gpu.accelerators.light_grid.packing import Packer
-from shadow_tracer.gpu.accelerators.light_grid.tiles import ALL_BLOCKS, QUANTITIES, TileBuffers
+from shadow_tracer.gpu.accelerators.light_grid.tiles import (
+    ALL_BLOCKS,
+    ALL_COLUMNS,
+    ALL_RAYS,
+    BLOCK_RAYS,
+    COLUMNS_OF,
+    FIRST_BLOCK,
+    FIRST_COLUMN,
+    FIRST_RAY,
+    LENGTH,
+    QUANTITIES,
+    RAYS_OF,
+    U_CELLS,
+    TileBuffers,
+    Tiles,
+    lay_out,
+    make_lookup,
+    no_column,
+)
 from shadow_tracer.gpu.accelerators.participants import Participants
-from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.device.slices import Slices
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.exact.light_space import FACES
+from shadow_tracer.gpu.exact.light_space import FACES, space_of
 from shadow_tracer.gpu.occluders.clusters import CLUSTER
 from shadow_tracer.gpu.occluders.corners import Corners
 from shadow_tracer.gpu.samples.passes import Pass
@@ -30,6 +48,110 @@ _ENTRIES_PER_TILE = 2
 _MOST_ITEMS = 65536
 # Threads that share lists whose length the host does not know.
 _THREADS_CUDA = 131072
+
+
+@native.func_native("accelerators/light_grid/packing16.h", calls="Packing16::measure")
+def measure(place: int, rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), tiles: Tiles):
+    """Frustum and extents of the rays of the light at ``place``."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/packing16.h", calls="Packing16::keys", otherwise="return 0;")
+def write_keys(
+    place: int,
+    first: int,
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    group: wp.array(dtype=wp.uint8),
+    tiles: Tiles,
+    cells: wp.array(dtype=int),
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+) -> int:
+    """Keys and numbers of the light's rays that are in tiles and not known to be in shadow, to be stored from ``first``
+    on; returns the end. ``cells`` counts the rays in each (group, cell of u)."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/columns.h", calls="Columns::gather")
+def to_columns(
+    count: int, tiles: Tiles, cells: wp.array(dtype=int), keys: wp.array(dtype=int), order: wp.array(dtype=int)
+):
+    """Bring the rays of each column together, behind the first ``count`` elements of ``keys`` (then the cell of v) and
+    ``order``."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/columns.h", calls="Columns::pack")
+def pack_column(
+    number: int,
+    inverse: int,
+    column: int,
+    first_block: int,
+    begin: int,
+    end: int,
+    rays: wp.array(dtype=wp.vec4),
+    tiles: Tiles,
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+):
+    """Tiles, blocks and the box of one column of group ``number``: its rays are ``order[begin:end]``, with the cells of
+    v in ``keys``; ``inverse``: the mode of light space."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def pack_wide(
+    lights: wp.array(dtype=LightFrame),
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    group: wp.array(dtype=wp.uint8),
+    tiles: Tiles,
+    cells: wp.array(dtype=int),
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+):
+    """``packing.py`` on the CPU, sixteen rays at a time: one thread, and counting takes the place of the sorts."""
+    for k in range(FACES * tiles.lights * U_CELLS):
+        cells[k] = 0
+    count = int(0)
+    for place in range(tiles.lights):
+        measure(place, rays, group, tiles)
+        count = write_keys(place, count, rays, states, group, tiles, cells, keys, order)
+    ray = int(0)
+    column = int(0)
+    block = int(0)
+    for number in range(FACES * tiles.lights):
+        rays_of = int(0)
+        for k in range(U_CELLS):
+            rays_of += cells[number * U_CELLS + k]
+        last = column + lay_out(number, ray, rays_of, column, block, tiles)
+        for k in range(column + tiles.groups[number, COLUMNS_OF], last):
+            no_column(k, tiles)
+        column = last
+        ray += rays_of
+        block += (rays_of + BLOCK_RAYS - 1) // BLOCK_RAYS
+    to_columns(count, tiles, cells, keys, order)
+    for number in range(FACES * tiles.lights):
+        first = tiles.groups[number, FIRST_RAY]
+        length = tiles.groups[number, LENGTH]
+        for k in range(tiles.groups[number, COLUMNS_OF]):
+            pack_column(
+                number,
+                space_of(lights[number // FACES]).inverse,
+                tiles.groups[number, FIRST_COLUMN] + k,
+                tiles.groups[number, FIRST_BLOCK] + k * (length // BLOCK_RAYS),
+                count + first + k * length,
+                count + first + wp.min(tiles.groups[number, RAYS_OF], (k + 1) * length),
+                rays,
+                tiles,
+                keys,
+                order,
+            )
+        make_lookup(number, tiles)
+    tiles.counts[ALL_RAYS] = count
+    tiles.counts[ALL_COLUMNS] = column
+    tiles.counts[ALL_BLOCKS] = block
 
 
 class PackedGrid:
@@ -100,7 +222,7 @@ class _Wide:
         device, bound = context.frame.device, context.frame.bounds.grid_entries
         places = 16 * buffers.most_blocks
         natural = max(4096, _ENTRIES_PER_TILE * places)
-        entries = binning_wide.EntryList()
+        entries = binning.EntryList()
         entries.capacity = min(natural, bound)
         entries.bounded = int(bound < natural)
         entries.tile = wp.empty(entries.capacity, dtype=int, device=device)
@@ -132,7 +254,7 @@ class _Wide:
             inputs = [frame.lights_from(work.first), frame.rays, states, group, buffers.tiles, buffers.cells]
             return 1, [*inputs, buffers.sort.keys, buffers.sort.values]
 
-        self._launch(packing_wide.pack_wide, (work.first, len(work.lights), frame.count), prepare)
+        self._launch(pack_wide, (work.first, len(work.lights), frame.count), prepare)
         if work.keep:
             self._copy(self._kept, self._changing)
 
@@ -164,7 +286,7 @@ class _Wide:
             inputs += [self._buffers.tiles, self.occluders(work), self._entries, self._participants.answers(work)]
             return 1, inputs
 
-        self._launch(binning_wide.bin_wide, self._key(work), prepare)
+        self._launch(binning.bin_wide, self._key(work), prepare)
 
     def occluders(self, work: Pass) -> Occluders:
         """The triangles of a pass; corners are of another form here, see ``candidates.py``."""

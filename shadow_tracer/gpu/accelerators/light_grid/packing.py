@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packs the rays of a pass into tiles on CUDA; ``packing_wide.py`` does the same on the CPU.
+"""Packs the rays of a pass into tiles on CUDA; ``packed.pack_wide`` does the same on the CPU.
 
 Two stable radix sorts: by (group, cell of u), which cuts the columns, and by (column, cell of v), which cuts the tiles.
 Then boxes, level by level. The host knows bounds of all sizes from the number of rays; threads beyond what there is
@@ -21,12 +21,11 @@ from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     FIRST_BLOCK,
     FIRST_COLUMN,
     FIRST_RAY,
-    GONE,
+    FORWARD,
     LENGTH,
     QUANTITIES,
     RAYS_OF,
     U_BITS,
-    U_CELLS,
     V_BITS,
     V_CELLS,
     TileBuffers,
@@ -36,15 +35,28 @@ from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     no_column,
 )
 from shadow_tracer.gpu.accelerators.participants import IN_TREE
+from shadow_tracer.gpu.accelerators.ray_keys import cubified
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.extents import STRIPES, clear_extents, joined, widen
 from shadow_tracer.gpu.exact.decision import ray_magnitude
 from shadow_tracer.gpu.exact.light_frame import SHADOWED, LightFrame
-from shadow_tracer.gpu.exact.light_space import FACES, face_axes, face_of, ray_depth, space_of
+from shadow_tracer.gpu.exact.light_space import FACES, face_axes, space_of
 
 LAST_KEY = wp.constant(2**31 - 1)
 # Extents per light: of the six faces, and of the aligned frustum.
 _EXTENTS = wp.constant(7)
-_PAD = 2.0**-20
+
+
+@native.func_native("accelerators/light_grid/on_face.h", calls="OnFace1::fits")
+def fits_frustum(ray: wp.vec4) -> bool:
+    """Whether the aligned frustum holds a ray."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/on_face.h", calls="OnFace1::place")
+def place_on_face(axes: wp.vec3, z: float, inverse: int) -> wp.vec3:
+    """(u, v, depth) of a ray on a face, from ``face_axes`` and Z of it."""
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -63,22 +75,25 @@ def measure_rays(
     ray = rays[i]
     place = i // tiles.samples
     base = 4 * _EXTENTS * ((i & (STRIPES - 1)) * tiles.lights + place)
-    face = face_of(ray)
-    on = face_axes(face, ray)
-    widen(extents, base + 4 * face, on[1] / on[0], on[2] / on[0])
-    if ray[2] > 0.0 and wp.abs(ray[0]) <= 2.0 * ray[2] and wp.abs(ray[1]) <= 2.0 * ray[2]:
-        widen(extents, base + 24, ray[0] / ray[2], ray[1] / ray[2])
+    on = cubified(ray)
+    widen(extents, base + 4 * int(on[2]), on[0], on[1])
+    if fits_frustum(ray):
+        ahead = place_on_face(wp.vec3(ray[2], ray[0], ray[1]), 0.0, 0)
+        widen(extents, base + 24, ahead[0], ahead[1])
     else:
         misfits[place] = 1
+
+
+@wp.func_native(native.snippet("accelerators/light_grid/fit.h", call="return Fit::of(box[0], box[1], box[2], box[3]);"))
+def fit_between(box: wp.vec4) -> wp.vec4:
+    """``Tiles.fit`` of rays with these low u, low v, high u and high v."""
+    ...
 
 
 @wp.func
 def fit_of(extents: wp.array(dtype=float), tiles: Tiles, place: int, which: int) -> wp.vec4:
     """``Tiles.fit`` from the rows of extents number ``which`` of a light."""
-    box = joined(extents, 4 * (_EXTENTS * place + which), 4 * _EXTENTS * tiles.lights, STRIPES)
-    if box[0] > box[2]:
-        return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    return wp.vec4(box[0], box[1], 4096.0 / wp.max(box[2] - box[0], 1.0e-12), 4096.0 / wp.max(box[3] - box[1], 1.0e-12))
+    return fit_between(joined(extents, 4 * (_EXTENTS * place + which), 4 * _EXTENTS * tiles.lights, STRIPES))
 
 
 @wp.kernel(enable_backward=False)
@@ -92,15 +107,16 @@ def fit_faces(tiles: Tiles, extents: wp.array(dtype=float), misfits: wp.array(dt
         tiles.aligned[place] = wp.where(aligned, 1, 0)
     if not aligned:
         tiles.fit[number] = fit_of(extents, tiles, place, face)
-    elif face == 4:
+    elif face == FORWARD:
         tiles.fit[number] = fit_of(extents, tiles, place, 6)
     else:
         tiles.fit[number] = wp.vec4(0.0, 0.0, 0.0, 0.0)
 
 
-@wp.func
-def cell(x: float, low: float, scale: float, cells: float) -> int:
-    return int(wp.clamp((x - low) * scale * (cells / 4096.0), 0.0, cells - 1.0))
+@native.func_native("accelerators/light_grid/keys.h", calls="Keys1::of")
+def key_of(place: int, ray: wp.vec4, tiles: Tiles) -> int:
+    """Key of a ray of the light at ``place``: group, cell of u, cell of v."""
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -118,15 +134,7 @@ def make_keys(
     keys[i] = LAST_KEY
     if group[i] != wp.uint8(IN_TREE) or states[i] == wp.uint8(SHADOWED):
         return
-    place = i // tiles.samples
-    face = int(4)
-    if tiles.aligned[place] == 0:
-        face = face_of(rays[i])
-    on = face_axes(face, rays[i])
-    fit = tiles.fit[place * FACES + face]
-    x = cell(on[1] / on[0], fit[0], fit[2], float(U_CELLS))
-    y = cell(on[2] / on[0], fit[1], fit[3], float(V_CELLS))
-    keys[i] = ((place * FACES + face) << (U_BITS + V_BITS)) | (x << V_BITS) | y
+    keys[i] = key_of(i // tiles.samples, rays[i], tiles)
 
 
 @wp.kernel(enable_backward=False)
@@ -204,19 +212,10 @@ def fill_lanes(tiles: Tiles, rays: wp.array(dtype=wp.vec4), order: wp.array(dtyp
     tiles.rays[base + 64] = ray_magnitude(ray)
 
 
-@wp.func
+@native.func_native("accelerators/light_grid/tile_box.h", calls="TileBox::put")
 def store_box(boxes: wp.array(dtype=float), place: int, low: wp.vec3, high: wp.vec3):
     """A box among its sixteen, padded; low > high says that it is empty."""
-    base = (place >> 4) * 16 * QUANTITIES + (place & 15)
-    if low[0] > high[0]:
-        for k in range(QUANTITIES):
-            boxes[base + 16 * k] = wp.where(k == 2 or k == 3, GONE, 0.0)
-        return
-    for k in range(2):
-        boxes[base + 16 * k] = 0.5 * (low[k] + high[k])
-        boxes[base + 16 * (2 + k)] = 0.5 * (high[k] - low[k]) + _PAD
-    boxes[base + 64] = low[2] - 0.5 * _PAD * wp.abs(low[2])
-    boxes[base + 80] = high[2] + 0.5 * _PAD * wp.abs(high[2])
+    ...
 
 
 @wp.func
@@ -251,9 +250,7 @@ def bound_tiles(lights: wp.array(dtype=LightFrame), tiles: Tiles, group_of: wp.a
     for j in range(wp.min(used, 32)):
         base = (2 * tile + (j >> 4)) * 80 + (j & 15)
         ray = wp.vec4(tiles.rays[base], tiles.rays[base + 16], tiles.rays[base + 32], tiles.rays[base + 48])
-        on = face_axes(face, ray)
-        inverse = 1.0 / on[0]
-        at = wp.vec3(on[1] * inverse, on[2] * inverse, ray_depth(space, ray, inverse))
+        at = place_on_face(face_axes(face, ray), ray[3], space.inverse)
         low = wp.min(low, at)
         high = wp.max(high, at)
         live = live | (1 << j)

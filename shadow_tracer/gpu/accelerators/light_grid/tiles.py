@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.sort import KeySort
 from shadow_tracer.gpu.exact.light_space import FACES
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
@@ -31,9 +32,11 @@ from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 TILE = 32  # rays
 QUANTITIES = 6
 GONE = -1.0e30
+BOX_PAD = 2.0**-20  # of half extents; depths are padded by half of it, relative
 # Bits of a key: group, cell of u, cell of v. Columns are cut at any ray, tiles too: cells are for sorting.
 U_BITS, V_BITS = 11, 10
 U_CELLS, V_CELLS = 2**U_BITS, 2**V_BITS
+FIT_BITS = 12  # cells across the extents of a face, as bits
 LOOKUP = 256
 MOST_BLOCKS = 16  # of a column
 BLOCK_RAYS = 16 * TILE
@@ -46,10 +49,16 @@ FIRST_COLUMN = wp.constant(3)
 COLUMNS_OF = wp.constant(4)
 FIRST_BLOCK = wp.constant(5)
 GROUP_COLUMNS = 6
+# The cube face on which the aligned frustum lies.
+FORWARD = wp.constant(4)
 # Elements of ``Tiles.counts``.
 ALL_RAYS = wp.constant(0)
 ALL_COLUMNS = wp.constant(1)
 ALL_BLOCKS = wp.constant(2)
+native.constants(TILE_RAYS=TILE, BLOCK_RAYS=BLOCK_RAYS, TILE_QUANTITIES=QUANTITIES, GONE=GONE, COLUMN_LOOKUP=LOOKUP)
+native.constants(FIT_BITS=FIT_BITS, FIT_CELLS=2**FIT_BITS, RAYS_OF=RAYS_OF, LENGTH=LENGTH, FIRST_COLUMN=FIRST_COLUMN)
+native.constants(U_BITS=U_BITS, V_BITS=V_BITS, U_CELLS=U_CELLS, V_CELLS=V_CELLS, BOX_PAD=BOX_PAD, FORWARD=FORWARD)
+native.constants(FIRST_BLOCK=FIRST_BLOCK, GROUP_COLUMNS=GROUP_COLUMNS, ALL_BLOCKS=ALL_BLOCKS)
 
 
 @wp.struct
@@ -98,10 +107,10 @@ def lay_out(number: int, first_ray: int, rays: int, column: int, block: int, til
     return (columns + 15) // 16 * 16
 
 
-@wp.func
+@native.func_native("accelerators/light_grid/fit.h", calls="Fit::cell")
 def lookup_cell(u: float, fit: wp.vec4) -> int:
     """Cell of u in ``Tiles.lookup``: monotone, so what lies between two values lies between their cells."""
-    return int(wp.clamp((u - fit[0]) * fit[2] * (float(LOOKUP) / 4096.0), 0.0, float(LOOKUP - 1)))
+    ...
 
 
 @wp.func

@@ -16,25 +16,25 @@ _ROOT = Path(__file__).resolve().parents[4]
 _GPU = "shadow_tracer/gpu"
 _GRID = "accelerators/light_grid/"
 _BOXES, _TILES, _CANDIDATES = "test_packed_boxes.py", "test_packed_tiles.py", "test_candidates.py"
-_BOUNDS = ("u0", "u1", "v0", "v1")
-_COVERED = "(g - h + *s.pt * t1 > plane)"
+_BOUNDS = ("low_u", "high_u", "low_v", "high_v")
+_COVERED = "(middle[3] - reach[3] + far > plane)"
 
 # the tests that have to fail and which of them are enough; and file, what stands there, what is put there instead
 _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "pyramids without pads": (
         _CANDIDATES,
         "outermost",
-        [(_GRID + "candidates.py", f"0x1p-20 * (1.0 + fabs({x}))", "0.0") for x in ("low", "high")],
+        [(_GRID + "candidates.h", f"0x1p-20 * (1.0 + fabs({x}))", "0.0") for x in ("low", "high")],
     ),
     "the light lower than its rays": (
         _CANDIDATES,
         "all_around",
-        [(_GRID + "candidates.py", "light < far[1] ? light - 0x1p-20 * fabs(light) : far[1]", "far[1]")],
+        [(_GRID + "candidates.h", "light < far[1] ? light - 0x1p-20 * fabs(light) : far[1]", "far[1]")],
     ),
     "a face as far as its nearest ray": (
         _CANDIDATES,
         "all_around",
-        [(_GRID + "keys_wide.py", "far = axis[j] > far ? axis[j] : far;", "far = axis[j];")],
+        [(_GRID + "packing16.h", "far = farthest[j] > far ? farthest[j] : far;", "far = farthest[j];")],
     ),
     "rays outside of the tiles forgotten": (
         _CANDIDATES,
@@ -54,98 +54,66 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "boxes without pads": (
         _TILES,
         "test_one_light and frustum and sun",
-        [
-            (_GRID + "packing.py", "_PAD = 2.0**-20", "_PAD = 0.0"),
-            (_GRID + "packing_wide.py", "+ 0x1p-20f : -1.0e30f", "+ 0.0f : -1.0e30f"),
-        ],
+        [(_GRID + "tiles.py", "BOX_PAD = 2.0**-20", "BOX_PAD = 0.0")],
     ),
     "edges without pads": (
         _BOXES,
         "beside",
-        [
-            ("exact/faces.py", "it.edge = 2.0f * record[0][3];", "it.edge = 0.0f;"),
-            (_GRID + "front_wide.py", "= 2.0f * at(3);", "= 0.0f * at(3);"),
-        ],
+        [("exact/planes.h", "edge = 2.0f * row[3];", "edge = 0.0f;")],
     ),
     "planes without pads": (
         _BOXES,
         "vast-0",
-        [
-            ("exact/faces.py", "it.plane = 7.0f * (record[1][3] + record[2][3]);", "it.plane = 0.0f;"),
-            (_GRID + "front_wide.py", "= 7.0f * (at(7) + at(11));", "= 0.0f * at(7);"),
-        ],
+        [("exact/planes.h", "plane = 7.0f * (row[7] + row[11]);", "plane = 0.0f;")],
     ),
     "bounds without pads": (
         _BOXES,
         "between",
-        [
-            *(("exact/faces.py", f"0x1p-20f * (1.0f + fabsf({x}))", "0.0f") for x in _BOUNDS),
-            *((_GRID + "front_wide.py", f"0x1p-20f * (1.0f + size_of({x}))", "0.0f") for x in _BOUNDS),
-        ],
+        [("exact/faces.h", f"0x1p-20f * (1.0f + Corners::size_of({x}))", "0.0f") for x in _BOUNDS],
     ),
     "depths without pads, of triangles and boxes": (
         _BOXES,
         "corners",
         [
-            ("exact/faces.py", "nearest + 0x1p-18f * (1.0f + fabsf(nearest))", "nearest"),
-            (_GRID + "front_wide.py", "near + 0x1p-18f * (1.0f + size_of(near))", "near"),
-            (_GRID + "packing.py", "low[2] - 0.5 * _PAD * wp.abs(low[2])", "low[2]"),
-            (_GRID + "packing_wide.py", "bound[4] - 0x1p-21f * fabsf(bound[4])", "bound[4]"),
+            ("exact/faces.h", "near + 0x1p-18f * (1.0f + Corners::size_of(near))", "near"),
+            (_GRID + "tile_box.h", "low[2] - depth_pad * fabsf(low[2])", "low[2]"),
         ],
     ),
     "faces told apart without a margin": (
         _BOXES,
         "between",
-        [
-            ("exact/faces.py", " - 0x1p-20f * size;", ";"),
-            (_GRID + "front_wide.py", " - 0x1p-20f * reach;", ";"),
-        ],
+        [("exact/faces.h", " - 0x1p-20f * reach;", ";")],
     ),
     "corners projected wherever they are": (
         _BOXES,
         "inside-0",
-        [
-            ("exact/faces.py", "if (!(front > 0x1p-18f * size))", "if (false)"),
-            (_GRID + "front_wide.py", "bounded = bits(in_front);", "bounded = 0xFFFF;"),
-        ],
+        [("exact/faces.h", "Lanes::bits((front > 0x1p-18f * corners.reach) & corners.near())", "Lanes::ALL")],
     ),
     "covered by the edges alone": (
         _BOXES,
         "sun-0",
-        [
-            (_GRID + "binning.py", "covered = all && g - h + s.pt * t1 > plane;", "covered = all;"),
-            (_GRID + "tile_test.py", f" & {_COVERED}", ""),
-        ],
+        [("exact/box.h", f" & {_COVERED}", "")],
     ),
     "covered without pads": (
         _BOXES,
         "beside or vast",
         [
-            (_GRID + "binning.py", "all = all && c - r > edge;", "all = all && c - r > 0.0f;"),
-            *((_GRID + "tile_test.py", f"(c{k} - r{k} > edge)", f"(c{k} - r{k} > 0.0f)") for k in range(3)),
-            (_GRID + "binning.py", "g - h + s.pt * t1 > plane;", "g - h + s.pt * t1 > 0.0f;"),
-            (_GRID + "tile_test.py", _COVERED, _COVERED.replace("plane", "0.0f")),
+            *(
+                ("exact/box.h", f"(middle[{k}] - reach[{k}] > edge)", f"(middle[{k}] - reach[{k}] > 0.0f)")
+                for k in range(3)
+            ),
+            ("exact/box.h", _COVERED, _COVERED.replace("plane", "0.0f")),
         ],
     ),
     "pads that do not grow with the depth": (
         _BOXES,
         "near",
-        [
-            (
-                _GRID + "binning.py",
-                "6.0f + 2.001f * (fabsf(t0) > fabsf(t1) ? fabsf(t0) : fabsf(t1))",
-                "6.0f",
-            ),
-            (_GRID + "tile_test.py", "6.0f + 2.001f * larger(size_of(t0), size_of(t1))", "6.0f"),
-        ],
+        [(_GRID + "side.h", "6.0f + 2.001f * (s0 > s1 ? s0 : s1)", "6.0f")],
     ),
     "covered where the nearest ray is": (
         _BOXES,
         "sun-0",
-        [
-            (_GRID + "binning.py", "g - h + s.pt * t1 > plane;", "g - h + s.pt * t0 > plane;"),
-            (_GRID + "tile_test.py", _COVERED, _COVERED.replace("t1", "t0")),
-        ],
+        [(_GRID + "side.h", "slope * t1", "slope * t0")],
     ),
     "columns looked up by their middles": (
         _BOXES,

@@ -1,0 +1,39 @@
+// needs: accelerators/light_grid/fit.h accelerators/light_grid/tile_box.h
+// constants: TILE_RAYS BLOCK_RAYS COLUMN_LOOKUP RAYS_OF LENGTH FIRST_COLUMN FIRST_BLOCK GROUP_COLUMNS
+// arguments: Tiles tiles
+// Where things lie in Tiles; see tiles.py.
+struct TileMemory {
+    enum { SIXTEEN_RAYS = 16 * 5, RAYS = 2 * SIXTEEN_RAYS };
+    static inline float* rays(const Tiles& tiles, int tile) { return tiles.rays.data + RAYS * (size_t)tile; }
+    static inline int* order(const Tiles& tiles, int tile) { return tiles.order.data + TILE_RAYS * (size_t)tile; }
+};
+// A face of a light, and the columns of tiles on it.
+struct TileGroup {
+    int first_column, first_block;
+    int length; // blocks of a column
+    int blocks;
+    wp::vec4 fit;
+    const wp::vec2i* lookup;
+
+    inline TileGroup(const Tiles& tiles, int number) {
+        const int* of = tiles.groups.data + GROUP_COLUMNS * number;
+        first_column = of[FIRST_COLUMN];
+        first_block = of[FIRST_BLOCK];
+        length = of[LENGTH] / BLOCK_RAYS;
+        blocks = (of[RAYS_OF] + BLOCK_RAYS - 1) / BLOCK_RAYS;
+        fit = tiles.fit.data[number];
+        lookup = tiles.lookup.data + COLUMN_LOOKUP * (size_t)number;
+    }
+    static inline bool any(const Tiles& tiles, int number) {
+        return tiles.groups.data[GROUP_COLUMNS * number + RAYS_OF] != 0;
+    }
+    // First and last column that something between two values of u may touch.
+    inline void columns(float low_u, float high_u, int& from, int& to) const {
+        from = lookup[Fit::cell(low_u, fit)][0];
+        to = lookup[Fit::cell(high_u, fit)][1];
+    }
+    inline int blocks_of(int column) const {
+        const int left = blocks - column * length;
+        return left < length ? left : length;
+    }
+};
