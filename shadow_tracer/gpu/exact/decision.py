@@ -66,27 +66,6 @@ SIXTEEN = r"""
 """
 
 
-FILTER_SIXTEEN = (
-    SIXTEEN
-    + r"""
-    auto filter16 = [&](const float* record, const float* rays, int& yes) -> int {
-        const Sixteen U = *(const Sixteen*)rays, V = *(const Sixteen*)(rays + 16), W = *(const Sixteen*)(rays + 32);
-        const Sixteen Z = *(const Sixteen*)(rays + 48), M = *(const Sixteen*)(rays + 64);
-        const Sixteen edge = record[3] * (M + __builtin_elementwise_abs(W)), depth = record[7] * M + record[11];
-        const Sixteen e0 = record[0] * U + record[1] * V + record[2] * W;
-        const Sixteen e1 = record[4] * U + record[5] * V + record[6] * W;
-        const Sixteen e2 = record[8] * U + record[9] * V + record[10] * W;
-        const Sixteen g = record[12] * U + record[13] * V + record[14] * Z - record[15];
-        const int no = bits((e0 < -edge) | (e1 < -edge) | (e2 < -edge) | (g < -depth));
-        if (no == 0xFFFF)
-            return 0;
-        yes = bits((e0 > edge) & (e1 > edge) & (e2 > edge) & (g > depth)) & ~no;
-        return ~no & 0xFFFF;
-    };
-"""
-)
-
-
 @wp.func_native(
     native.snippet(
         "exact/filter.h",

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.decision import YES
-from shadow_tracer.gpu.exact.light_frame import PENDING, SHADOWED
-from shadow_tracer.gpu.visibility.queue import enqueue
+from shadow_tracer.gpu.exact.light_frame import SHADOWED
 
 
 @wp.struct
@@ -22,12 +22,16 @@ class Answers:
     counters: wp.array2d(dtype=wp.int64)
 
 
+@native.func_native("visibility/answers.h", calls="Settle::pair")
+def let_wait(answers: Answers, sample: int, triangle: int):
+    """An uncertain pair waits for the exact decision, or its ray for a further pass."""
+    ...
+
+
 @wp.func
 def settle(sample: int, triangle: int, answer: int, answers: Answers):
     """Note what the filter said about a pair, NO excepted."""
     if answer == YES:
         answers.states[sample] = wp.uint8(SHADOWED)
-    elif answers.states[sample] != wp.uint8(SHADOWED):
-        wp.atomic_add(answers.resume, sample, 1)
-        if not enqueue(sample, triangle, answers.queue, answers.queue_count):
-            answers.states[sample] = wp.uint8(PENDING)
+    else:
+        let_wait(answers, sample, triangle)

@@ -1,6 +1,6 @@
 // cpu
 // needs: exact/filter.h@16 visibility/answers.h accelerators/light_grid/tiles.h
-// constants: SHADOWED LEAF_TESTS ACCEPTED TILE_RAYS ALL_BLOCKS
+// constants: SHADOWED LEAF_TESTS ACCEPTED ALL_BLOCKS
 // arguments: Tiles tiles, Occluders occluders, EntryList entries, Answers answers
 // Entries gather in a list; whenever it is full, it is sorted by tile and traced, tile by tile, sixteen rays at a time.
 struct Entries {

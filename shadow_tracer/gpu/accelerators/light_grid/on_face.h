@@ -1,4 +1,4 @@
-// needs: exact/cube.h
+// needs: exact/cube.h exact/light_space.h
 // constants: FORWARD
 // lanes
 // LANES rays on a face of a light.
@@ -19,7 +19,7 @@ struct WIDE(OnFace) : WIDE(OnCube) {
     // In the aligned frustum.
     inline void forward(REAL U, REAL V, REAL W) { set(FORWARD, W, U, V); }
     // Depth of light space, with h divided by its coordinate along the face's axis.
-    inline REAL depth(REAL Z, bool inverse) const { return inverse ? 1.0f / size : Z * (1.0f / size); }
+    inline REAL depth(REAL Z, bool inverse) const { return WIDE(LightDepth)::of(Z, 1.0f / size, inverse); }
 #if LANES == 1
     // (u, v, depth) of a ray; axes: light_space.face_axes of it.
     static inline wp::vec3 place(const wp::vec3& axes, float Z, int inverse) {

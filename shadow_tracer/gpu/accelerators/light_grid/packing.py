@@ -274,7 +274,8 @@ def bound_columns(tiles: Tiles):
     rays = wp.min(tiles.groups[number, LENGTH], tiles.groups[number, RAYS_OF] - k * tiles.groups[number, LENGTH])
     blocks = (rays + BLOCK_RAYS - 1) // BLOCK_RAYS
     first = tiles.groups[number, FIRST_BLOCK] + k * (tiles.groups[number, LENGTH] // BLOCK_RAYS)
-    for b in range(16):
+    places = int(16)  # a variable, so that the loop stays one
+    for b in range(places):
         low = wp.vec3(1.0, 1.0, 1.0)
         high = wp.vec3(-1.0, -1.0, -1.0)
         if b < blocks:

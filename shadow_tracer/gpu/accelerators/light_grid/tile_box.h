@@ -1,4 +1,4 @@
-// constants: BOX_PAD TILE_QUANTITIES GONE
+// constants: TILE_PAD TILE_QUANTITIES GONE
 // What holds some rays of a face: bounds of u, v and t.
 struct TileBox {
     enum { SIXTEEN = 16 * TILE_QUANTITIES };
@@ -29,7 +29,7 @@ struct TileBox {
     inline void store(const wp::array_t<float>& boxes, int number) const {
         float* box = at(boxes, number);
         const bool some = low[0] <= high[0];
-        const float pad = BOX_PAD, depth_pad = 0.5 * BOX_PAD, gone = GONE;
+        const float pad = TILE_PAD, depth_pad = 0.5 * TILE_PAD, gone = GONE;
         for (int q = 0; q < 2; ++q) {
             box[16 * q] = some ? 0.5f * (low[q] + high[q]) : 0.0f;
             box[16 * (2 + q)] = some ? 0.5f * (high[q] - low[q]) + pad : gone;

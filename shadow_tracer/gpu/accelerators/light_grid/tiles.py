@@ -32,7 +32,7 @@ from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 TILE = 32  # rays
 QUANTITIES = 6
 GONE = -1.0e30
-BOX_PAD = 2.0**-20  # of half extents; depths are padded by half of it, relative
+TILE_PAD = 2.0**-20  # of half extents; depths are padded by half of it, relative
 # Bits of a key: group, cell of u, cell of v. Columns are cut at any ray, tiles too: cells are for sorting.
 U_BITS, V_BITS = 11, 10
 U_CELLS, V_CELLS = 2**U_BITS, 2**V_BITS
@@ -57,7 +57,7 @@ ALL_COLUMNS = wp.constant(1)
 ALL_BLOCKS = wp.constant(2)
 native.constants(TILE_RAYS=TILE, BLOCK_RAYS=BLOCK_RAYS, TILE_QUANTITIES=QUANTITIES, GONE=GONE, COLUMN_LOOKUP=LOOKUP)
 native.constants(FIT_BITS=FIT_BITS, FIT_CELLS=2**FIT_BITS, RAYS_OF=RAYS_OF, LENGTH=LENGTH, FIRST_COLUMN=FIRST_COLUMN)
-native.constants(U_BITS=U_BITS, V_BITS=V_BITS, U_CELLS=U_CELLS, V_CELLS=V_CELLS, BOX_PAD=BOX_PAD, FORWARD=FORWARD)
+native.constants(U_BITS=U_BITS, V_BITS=V_BITS, U_CELLS=U_CELLS, V_CELLS=V_CELLS, TILE_PAD=TILE_PAD, FORWARD=FORWARD)
 native.constants(FIRST_BLOCK=FIRST_BLOCK, GROUP_COLUMNS=GROUP_COLUMNS, ALL_BLOCKS=ALL_BLOCKS)
 
 

@@ -54,7 +54,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "boxes without pads": (
         _TILES,
         "test_one_light and frustum and sun",
-        [(_GRID + "tiles.py", "BOX_PAD = 2.0**-20", "BOX_PAD = 0.0")],
+        [(_GRID + "tiles.py", "TILE_PAD = 2.0**-20", "TILE_PAD = 0.0")],
     ),
     "edges without pads": (
         _BOXES,
