@@ -21,6 +21,7 @@ typedef double float64;
 template <unsigned N, class T> struct vec_t {
     T c[N];
     vec_t() = default;
+    explicit vec_t(T x);
     vec_t(T x, T y) : c { x, y } {}
     vec_t(T x, T y, T z) : c { x, y, z } {}
     vec_t(T x, T y, T z, T w) : c { x, y, z, w } {}
@@ -40,9 +41,23 @@ template <class T> struct array_t {
     int shape[4];
 };
 template <class T> T atomic_add(T* to, T value);
+template <class T> T atomic_and(T* to, T value);
+template <class T> T atomic_or(T* to, T value);
 template <class T> T atomic_max(T* to, T value);
 template <class T> T atomic_min(T* to, T value);
 template <class T> T min(T x, T y) { return x < y ? x : y; }
 template <class T> T max(T x, T y) { return x > y ? x : y; }
 bool isfinite(const vec3d& v);
+struct BVHPackedNodeHalf {
+    float x, y, z;
+    unsigned i : 31;
+    unsigned b : 1;
+};
+struct BVH {
+    BVHPackedNodeHalf *node_lowers, *node_uppers;
+    int* primitive_indices;
+    int* root;
+    int num_nodes;
+};
+BVH bvh_get(uint64 id);
 }

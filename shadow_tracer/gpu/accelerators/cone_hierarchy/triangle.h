@@ -1,5 +1,4 @@
 // needs: device/lanes.h exact/faces.h@1 exact/planes.h@1 exact/box.h exact/light_space.h accelerators/cone_hierarchy/cells.h
-// constants: BOX_QUANTITIES
 // arguments: LightSpace space, RayTree tree, Occluders occluders
 // lanes
 // A triangle on its way through the ray tree, and LANES sibling boxes against it; see descent.py. Its corners are no
