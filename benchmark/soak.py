@@ -70,6 +70,7 @@ KNOWN: dict[str, Any] = {
     "lights.lamp.enabled": True,
     "bias.constant": 0.02,
     "bias.quadratic": 0.003,
+    "bias.normal": 0.6,
     "depth_image_transport": "raw",
     "occluders": "mesh",
     "front_face_culling": False,
