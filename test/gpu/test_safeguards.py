@@ -191,10 +191,13 @@ _MUTANT = """
 import sys
 sys.path[:0] = [{root!r}, {test!r}]
 import numpy as np
-from shadow_tracer.gpu.exact import determinant
-sure = "if (absolute(value) > 1.0e-15 * permanent)"
-assert determinant.DETERMINANT.count(sure) == 1, "the place where float64 is believed has moved: update this test"
-determinant.DETERMINANT = determinant.DETERMINANT.replace(sure, "if (value == 0.0) return 0; if (permanent >= 0.0)")
+from dataclasses import replace
+from shadow_tracer.gpu.device import native
+plain, name, sure = native.read, "exact/determinant.h", "if (absolute(value) > mul(1.0e-15, permanent))"
+text = plain(name).text
+assert text.count(sure) == 1, "the place where float64 is believed has moved: update this test"
+text = text.replace(sure, "if (value == 0.0) return 0; if (permanent >= 0.0)")
+native.read = lambda which: replace(plain(which), text=text) if which == name else plain(which)
 import geometry
 from shadow_tracer import Bounds, PointLight, ShadowTracer
 light = np.array({light!r})
