@@ -8,6 +8,7 @@ struct WIDE(Traveller) {
     const RayTree& tree;
     const Occluders& occluders;
     Planes1 planes;
+    float spread[4][3];             // absolute values of their normals
     float low[3], high[3], nearest; // its bounds on a face, as directions, and its largest depth there
 
     // Corners; returns the faces that it may touch, as bits.
@@ -23,6 +24,9 @@ struct WIDE(Traveller) {
     // Planes; false if it casts nothing.
     inline bool load(int triangle) {
         planes.take((const float*)occluders.records.data + 16 * (size_t)triangle, 1, space);
+        for (int k = 0; k < 4; ++k)
+            for (int i = 0; i < 3; ++i)
+                spread[k][i] = fabsf(k < 3 ? planes.n[k][i] : planes.p[i]);
         return !planes.silent;
     }
     // Whatever the direction and depth of rays.
@@ -76,7 +80,7 @@ struct WIDE(Traveller) {
         for (int k = 0; k < 4; ++k) {
             const float* n = k < 3 ? planes.n[k] : planes.p;
             middle[k] = n[0] * c[0] + n[1] * c[1] + n[2] * c[2];
-            reach[k] = fabsf(n[0]) * e[0] + fabsf(n[1]) * e[1] + fabsf(n[2]) * e[2];
+            reach[k] = spread[k][0] * e[0] + spread[k][1] * e[1] + spread[k][2] * e[2];
         }
         return WIDE(Box)::judge(within, middle, reach, planes.p[3] * least, planes.p[3] * most, planes.edge * m,
                                 planes.plane * m, covered);
