@@ -46,7 +46,7 @@ WITHOUT_ROS = {
 }
 HAS_ROS = all(importlib.util.find_spec(name) for name in ("rclpy", "sensor_msgs", "shape_msgs", "diagnostic_msgs"))
 
-sys.path.insert(0, str(HERE))  # for tf_double
+sys.path[:0] = [str(HERE), str(HERE / "node")]  # for tf_double and such, and for what tests of the node share
 
 # All this is read when a context is made, and must be there before rclpy is first imported. Nodes of
 # shadow_tracer.testing, and so of Rig, have a domain that no other process holds.
@@ -72,5 +72,5 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
 def pytest_collection_modifyitems(items: Iterable[pytest.Item]) -> None:
     for item in items:
-        if item.path.parent == HERE and item.path.name not in WITHOUT_ROS:
+        if HERE in item.path.parents and item.path.name not in WITHOUT_ROS:
             item.add_marker("ros")

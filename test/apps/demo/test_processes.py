@@ -113,7 +113,7 @@ def test_a_child_does_not_outlive_a_parent_that_was_killed(sleeper: str, tmp_pat
         "    print(children._children['sleeper'].pid, children.folder, flush=True)\n"
         "    time.sleep(60)\n"
     )
-    path = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])])
+    path = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[3])])
     environment = {**os.environ, "PYTHONPATH": path, "TMPDIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, timeout=60)
     assert done.returncode == -signal.SIGKILL

@@ -16,7 +16,7 @@ from shadow_tracer import DirectionalLight, PointLight, ShadowTracer, SpotLight
 from shadow_tracer.apps.demo import recorded
 from shadow_tracer.apps.demo.recorded import FolderSequence
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 DATA = Path(os.environ.get("SHADOW_TRACER_DATA", ROOT.parent / "shared" / "data")) / "rgbd"
 W, H = 64, 48
 

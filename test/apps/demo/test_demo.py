@@ -23,7 +23,7 @@ from shadow_tracer.apps.demo.sequence import View, WorkshopSequence
 from shadow_tracer.ros.parameters.parameters import names_for, problems_in
 from shadow_tracer.ros.wire.cdr import parse_mesh
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import Image
 
-PROFILE = Path(__file__).resolve().parents[2] / "config" / "fastdds_large_images.xml"
+PROFILE = Path(__file__).resolve().parents[3] / "config" / "fastdds_large_images.xml"
 COUNT = 40  # times 1.2 MB are less than the 64 MB of the segment, so that a subscriber that is late loses nothing
 
 # A camera: 640 x 480 float32, best effort, 20 Hz, as soon as somebody listens. It lives until its stdin is closed.

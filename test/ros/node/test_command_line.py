@@ -12,7 +12,7 @@ import pytest
 
 from shadow_tracer.ros.node.command_line import answer, outside, usage
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PROGRAMS = ("shadow_node", "shadow_lifecycle_node")
 
 

@@ -14,7 +14,7 @@ NAME = "fastdds_large_images.xml"
 
 
 def test_of_the_sources_that_run() -> None:
-    assert installed.config_file(NAME) == str(Path(__file__).resolve().parents[2] / "config" / NAME)
+    assert installed.config_file(NAME) == str(Path(__file__).resolve().parents[3] / "config" / NAME)
 
 
 @pytest.mark.parametrize("place", ["environment", "index"])

@@ -12,7 +12,7 @@ import pytest
 
 from shadow_tracer.ros.diagnostics import READ_FIRST, cure_first
 
-FOLDER = Path(__file__).parents[2] / "shadow_tracer" / "ros"
+FOLDER = Path(__file__).parents[3] / "shadow_tracer" / "ros"
 INSERTED = "/camera/depth"  # stands for what differs from case to case
 RETURNING = {"_doubts", "_loss", "mismatch"}  # functions whose strings are messages
 

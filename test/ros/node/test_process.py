@@ -24,7 +24,7 @@ from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
 from shadow_tracer.ros.diagnostics import DEVICE, ERROR, OK, PROCESSING
 from shadow_tracer.ros.node.node import spin
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.slow
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
 

@@ -112,7 +112,7 @@ def test_bad_files(text: str, message: str, tmp_path: Path) -> None:
 
 
 def test_every_file_of_the_package_can_be_read() -> None:
-    config = Path(__file__).resolve().parents[2] / "config"
+    config = Path(__file__).resolve().parents[3] / "config"
     files = [path for path in config.glob("*.yaml") if "ros__parameters" in path.read_text()]
     assert files
     for file in files:

@@ -28,7 +28,7 @@ from shadow_tracer.ros.wire.cdr_markers import ADD, TRIANGLE_LIST, MarkerMessage
 from shadow_tracer.ros.wire.messages import rigid
 from shadow_tracer.scene.depth_mesh import depth_mesh
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 W, H, FOCAL = 64, 48, 60.0
 SECOND = 10**9
 UNKNOWN = 77
