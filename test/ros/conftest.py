@@ -46,7 +46,7 @@ WITHOUT_ROS = {
 }
 HAS_ROS = all(importlib.util.find_spec(name) for name in ("rclpy", "sensor_msgs", "shape_msgs", "diagnostic_msgs"))
 
-sys.path[:0] = [str(HERE), str(HERE / "node")]  # for tf_double and such, and for what tests of the node share
+sys.path[:0] = [str(HERE), str(HERE / "node"), str(HERE / "parameters")]  # for tf_double, and what tests share
 
 # All this is read when a context is made, and must be there before rclpy is first imported. Nodes of
 # shadow_tracer.testing, and so of Rig, have a domain that no other process holds.
