@@ -95,7 +95,7 @@ def count_pixels(grid: Grid, scene: Sorted, tests: wp.array(dtype=int)):
     coarse = grid.tiles_x * grid.tiles_y + (tile_y // grid.group) * grid.coarse_x + tile_x // grid.group
     done = scene.starts[tile + 1] - scene.starts[tile]
     for k in range(scene.starts[coarse], scene.starts[coarse + 1]):
-        if tile_may_meet(grid, scene.records, scene.lists[k], tile_x, tile_y):
+        if tile_may_meet(scene.lists[k], tile_x, tile_y, grid, scene.records):
             done += 1
     tests[tile] = done
 

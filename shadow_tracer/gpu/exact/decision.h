@@ -1,24 +1,11 @@
-// needs: exact/determinant.h
+// needs: exact/canonical.h exact/determinant.h
 struct Decision : Determinant {
-    static inline bool before(const wp::vec3d& x, const wp::vec3d& y) {
-        return x[0] != y[0] ? x[0] < y[0] : x[1] != y[1] ? x[1] < y[1] : x[2] < y[2];
-    }
-    static inline void order(wp::vec3d& x, wp::vec3d& y) {
-        if (before(y, x)) {
-            const wp::vec3d t = x;
-            x = y;
-            y = t;
-        }
-    }
     // Bit 0: whether the triangle keeps the light from the sample; the other bits count the determinants that needed
     // expansion arithmetic.
     static inline int of(const wp::vec4d& sample, const wp::vec4d& light, const wp::vec3d& a, const wp::vec3d& b,
                          const wp::vec3d& c) {
-        // Corners in canonical order: whatever is rounded below is the same for every order and winding.
         wp::vec3d v[3] = { a, b, c };
-        order(v[0], v[1]);
-        order(v[1], v[2]);
-        order(v[0], v[1]);
+        Canonical::sort(v);
 
         const wp::vec3d p(sample[0], sample[1], sample[2]);
         const double bias = sample[3];

@@ -1,32 +1,8 @@
-// needs: exact/arithmetic.h
+// needs: exact/arithmetic.h exact/arithmetic32.h
 // constants: NEAREST_MEASURED FARTHEST_MEASURED LARGEST_JUMP FLATTEST LARGEST_COORDINATE
 // arguments: Pinhole camera
 // The normal of scene/normals.py, in the same order of operations without contraction: the same bits.
-struct Normal : Arithmetic {
-    static inline float plus(float x, float y) {
-        UNCONTRACTED
-#if defined(__CUDA_ARCH__)
-        return __fadd_rn(x, y);
-#else
-        return x + y;
-#endif
-    }
-    static inline float minus(float x, float y) {
-        UNCONTRACTED
-#if defined(__CUDA_ARCH__)
-        return __fadd_rn(x, -y);
-#else
-        return x - y;
-#endif
-    }
-    static inline float times(float x, float y) {
-        UNCONTRACTED
-#if defined(__CUDA_ARCH__)
-        return __fmul_rn(x, y);
-#else
-        return x * y;
-#endif
-    }
+struct Normal : Arithmetic, Arithmetic32 {
     static inline float invert(float x) {
 #if defined(__CUDA_ARCH__)
         return __fdiv_rn(1.0f, x);

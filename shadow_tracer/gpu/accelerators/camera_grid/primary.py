@@ -7,7 +7,7 @@ x 2 sorting tiles, so that it has threads enough although lists stay short. Wher
 the tile that its ray lies in.
 
 Two forms with the same bits: plain Warp kernels, one thread per pixel, and for the CPU one that bins in order and
-tests sixteen rays at a time (``wide.py``), but those of a table one by one.
+tests sixteen rays at a time (``tiles16.h``), but those of a table one by one.
 """
 
 from __future__ import annotations
@@ -20,10 +20,18 @@ import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.camera_grid.bins import bin_triangles, count_entries, emit_entries, fill_lists
-from shadow_tracer.gpu.accelerators.camera_grid.hit import COUNTERS, Image, Sorted, threads_of, trace_pixels
+from shadow_tracer.gpu.accelerators.camera_grid.hit import (
+    COUNTER_SHAPE,
+    COUNTERS,
+    TILE,
+    Image,
+    Sorted,
+    threads_of,
+    trace_pixels,
+    trace_tiles,
+)
 from shadow_tracer.gpu.accelerators.camera_grid.rays import Axis, tiles_of
-from shadow_tracer.gpu.accelerators.camera_grid.setup import Grid, make_camera_frame, pack_triangles
-from shadow_tracer.gpu.accelerators.camera_grid.wide import TILE, trace_tiles
+from shadow_tracer.gpu.accelerators.camera_grid.setup import PLANE_COLUMNS, Grid, make_camera_frame, pack_triangles
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.transfers import HostValues
 from shadow_tracer.gpu.exact.light_frame import LightFrame
@@ -71,7 +79,7 @@ class PrimaryRays:
         self._frame = HostValues(LightFrame, 1, device)
         self._corners = wp.empty(3 * triangles, dtype=wp.vec4, device=device)
         self._records = wp.empty((triangles, 4), dtype=wp.vec4, device=device)
-        self._planes = wp.empty((triangles, 6), dtype=wp.float64, device=device)
+        self._planes = wp.empty((triangles, PLANE_COLUMNS), dtype=wp.float64, device=device)
         self._pairs = wp.empty(entries, dtype=wp.vec2i, device=device)
         self._lists = wp.empty(entries, dtype=int, device=device)
         self._ends = None if self._wide else wp.empty(triangles, dtype=wp.int64, device=device)
@@ -82,7 +90,7 @@ class PrimaryRays:
         self._cursor = wp.zeros(3, dtype=int, device=device)
         self._degenerate = wp.zeros(64, dtype=int, device=device)
         self._culled = wp.zeros(64, dtype=int, device=device)
-        self._counters = wp.zeros((64, len(COUNTERS)), dtype=wp.int64, device=device)
+        self._counters = wp.zeros(COUNTER_SHAPE, dtype=wp.int64, device=device)
         self._axes = [wp.empty(rays + tile, dtype=t, device=device) for t in (float, float, wp.float64, wp.float64)]
         self._table = wp.empty(rays, dtype=wp.vec2, device=device)
         self._tile_of = wp.empty(rays, dtype=int, device=device)

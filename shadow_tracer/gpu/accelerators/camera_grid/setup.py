@@ -23,11 +23,14 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.exact.determinant import ARITHMETIC
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.scene.camera import Camera
 
 SCALE = 2.0**-20
+PLANE_COLUMNS = 6
+"""Float64 numbers of a triangle's plane: N, D, the least and the largest depth of its corners."""
+native.constants(PLANE_COLUMNS=PLANE_COLUMNS)
 
 
 @wp.struct
@@ -78,88 +81,7 @@ def make_camera_frame(camera: Camera) -> LightFrame:
     return frame
 
 
-# The plane's float64 form in the world, t = D / (N . d), and the depths of the corners, between which t is kept: so it
-# is sane where the triangle is seen nearly edge-on. Corners in canonical order, no contraction: the same bits for
-# every order, winding and device.
-_PLANE = (
-    ARITHMETIC
-    + r"""
-    auto make_plane = [&](const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c, double* out) {
-        const wp::vec3d* v[3] = { &a, &b, &c };
-        auto order = [&](int i, int j) {
-            const wp::vec3d &x = *v[j], &y = *v[i];
-            if (x[0] != y[0] ? x[0] < y[0] : x[1] != y[1] ? x[1] < y[1] : x[2] < y[2]) {
-                const wp::vec3d* t = v[i];
-                v[i] = v[j];
-                v[j] = t;
-            }
-        };
-        order(0, 1);
-        order(1, 2);
-        order(0, 1);
-        double e[2][3], n[3], z[3];
-        for (int k = 0; k < 3; ++k) {
-            e[0][k] = sub((*v[1])[k], (*v[0])[k]);
-            e[1][k] = sub((*v[2])[k], (*v[0])[k]);
-        }
-        n[0] = sub(mul(e[0][1], e[1][2]), mul(e[0][2], e[1][1]));
-        n[1] = sub(mul(e[0][2], e[1][0]), mul(e[0][0], e[1][2]));
-        n[2] = sub(mul(e[0][0], e[1][1]), mul(e[0][1], e[1][0]));
-        for (int k = 0; k < 3; ++k) {
-            const double x = sub((*v[k])[0], grid.position[0]), y = sub((*v[k])[1], grid.position[1]);
-            const double w = sub((*v[k])[2], grid.position[2]);
-            z[k] = add(add(mul(grid.depth_row[0], x), mul(grid.depth_row[1], y)), mul(grid.depth_row[2], w));
-            if (k == 0)
-                out[3] = add(add(mul(n[0], x), mul(n[1], y)), mul(n[2], w));
-            out[k] = n[k];
-        }
-        const double low = z[0] < z[1] ? z[0] : z[1], high = z[0] < z[1] ? z[1] : z[0];
-        out[4] = low < z[2] ? low : z[2];
-        out[4] = out[4] > 0.0 ? out[4] : 0.0;
-        out[5] = high > z[2] ? high : z[2];
-    };
-    auto pack = [](float* record) {
-        const float infinity = 3.402823466e38f * 2.0f;
-        float n[3] = { record[12], record[13], -record[14] };
-        const float d = record[15], s_plane = record[7], s_offset = record[11];
-        if (n[0] == 0.0f && n[1] == 0.0f && n[2] == 0.0f) {
-            for (int k = 0; k < 16; ++k)
-                record[k] = 0.0f;
-            return;
-        }
-        // Comparisons with NaN fail, and what fails is left to float64.
-        float sum = record[3];
-        for (int k = 0; k < 11; ++k)
-            sum += (k & 3) == 3 ? 0.0f : (record[k] < 0.0f ? -record[k] : record[k]);
-        if (!(sum < 1.0e30f)) {
-            for (int k = 0; k < 11; ++k)
-                record[k] = 0.0f;
-            record[3] = infinity;
-        }
-        const float inverse = 1.0f / d;
-        const bool sure = d > 0.0f && s_offset <= 0.25f * d && s_plane <= 0.25f && inverse > 1.0e-30f
-                          && inverse < 1.0e30f;
-        for (int k = 0; k < 3; ++k)
-            record[12 + k] = sure ? n[k] * inverse : 0.0f;
-        record[7] = sure ? 2.0f * (s_plane + s_offset * inverse) * inverse : infinity;
-        record[11] = 1.0f;
-        record[15] = 0.0f;
-    };
-"""
-)
-
-
-@wp.func_native(
-    _PLANE
-    + r"""
-    const wp::vec3i corners = triangles.data[i];
-    pack((float*)records.data + 16 * (size_t)i);
-    double plane[6];
-    make_plane(vertices.data[corners[0]], vertices.data[corners[1]], vertices.data[corners[2]], plane);
-    for (int k = 0; k < 6; ++k)
-        planes.data[6 * (size_t)i + k] = plane[k];
-    """
-)
+@native.func_native("accelerators/camera_grid/setup.h", calls="SetUp::of")
 def pack_triangle(
     i: int,
     grid: Grid,

@@ -1,0 +1,62 @@
+// needs: exact/determinant.h accelerators/camera_grid/depth_plane.h
+// constants: PLANE_COLUMNS COUNTER_ROWS CAMERA_TESTS CAMERA_RETESTED CAMERA_EXACT CAMERA_COMPARED
+// arguments: Grid grid, Sorted scene
+// What float32 leaves open, in float64: whether a ray meets a triangle, exactly, and which of two triangles is closer.
+struct Hit : Determinant {
+    const Grid& grid;
+    const Sorted& scene;
+    int retested, compared, exact_used; // exact_used: determinants that needed expansion arithmetic
+
+    inline Hit(const Grid& grid, const Sorted& scene)
+        : grid(grid), scene(scene), retested(0), compared(0), exact_used(0) {}
+    inline bool meets(int triangle, const double (&d)[3]) {
+        const wp::vec3i& corner = scene.triangles.data[triangle];
+        const wp::vec3d v[3] = { scene.vertices.data[corner[0]], scene.vertices.data[corner[1]],
+                                 scene.vertices.data[corner[2]] };
+        const wp::vec3d o = grid.position;
+        int facing = 0;
+        // One call in a loop that stays a loop, or compilers inline the expansion arithmetic four times.
+#pragma unroll 1
+        for (int question = 0; question < 4; ++question) {
+            const int k = question == 0 ? 0 : question - 1;
+            const wp::vec4d q = question == 0 ? wp::vec4d(o[0], o[1], o[2], 1.0) : wp::vec4d(d[0], d[1], d[2], 0.0);
+            const wp::vec3d r = question == 0 ? v[1] : o, s = question == 0 ? v[2] : v[(k + 1) % 3];
+            double value;
+            const int side = sign(q, r, s, v[k], value, exact_used);
+            if (question == 0)
+                facing = side;
+            if (question == 0 ? side == 0 : side * facing < 0)
+                return false;
+        }
+        return true;
+    }
+    inline double depth(int triangle, const double (&d)[3]) const {
+        return DepthPlane::depth(scene.planes.data + PLANE_COLUMNS * (size_t)triangle, d, 1);
+    }
+    // Whether the ray through (x, y, 1) meets a triangle, and before `other`, -1 for none; inside, in_front: what
+    // float32 is sure of.
+    inline bool replaces(int triangle, int other, bool inside, bool in_front, double x, double y) {
+        double d[3];
+        DepthPlane::direction(grid, x, y, d, 1);
+        if (!inside) {
+            ++retested;
+            if (!meets(triangle, d))
+                return false;
+        }
+        if (in_front || other < 0)
+            return true;
+        ++compared;
+        const double mine = depth(triangle, d), before = depth(other, d);
+        return mine < before || (mine == before && triangle < other);
+    }
+    inline void report(int number, wp::int64 tests, const wp::array_t<wp::int64>& counters) const {
+        wp::int64* row = counters.data + (size_t)counters.shape[1] * (number % COUNTER_ROWS);
+        wp::atomic_add(row + CAMERA_TESTS, tests);
+        if (retested > 0)
+            wp::atomic_add(row + CAMERA_RETESTED, (wp::int64)retested);
+        if (exact_used > 0)
+            wp::atomic_add(row + CAMERA_EXACT, (wp::int64)exact_used);
+        if (compared > 0)
+            wp::atomic_add(row + CAMERA_COMPARED, (wp::int64)compared);
+    }
+};
