@@ -4,6 +4,7 @@ text, and errors name them."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 import subprocess
@@ -18,6 +19,7 @@ wp = pytest.importorskip("warp")
 from shadow_tracer.gpu.device import native  # noqa: E402
 
 _ROOT = Path(__file__).resolve().parents[3]
+_HEADERS = sorted(path.relative_to(native.ROOT).as_posix() for path in native.ROOT.rglob("*.h"))
 
 Write = Callable[[str, str], None]
 
@@ -74,6 +76,24 @@ def test_what_is_for_the_cpu_is_left_out_for_cuda(write: Write) -> None:
     write("a.h", "// cpu\nstruct A {};\n")
     text = native.snippet("a.h", call="return 1;", otherwise="return 0;")
     assert text.startswith("#if !defined(__CUDA_ARCH__)\n") and text.endswith("#else\nreturn 0;\n#endif\n")
+
+
+def _snippets() -> list[str]:
+    """Those of all native functions of the package."""
+    modules = [
+        importlib.import_module(".".join(path.relative_to(_ROOT).with_suffix("").parts))
+        for path in sorted((_ROOT / "shadow_tracer" / "gpu").rglob("*.py"))
+    ]
+    functions = (value for module in modules for value in vars(module).values() if isinstance(value, wp.Function))
+    return [function.native_snippet for function in functions]
+
+
+def test_every_header_is_used_and_what_it_says_comes_first() -> None:
+    whole = "\n".join(text for text in _snippets() if text)
+    for name in _HEADERS:
+        header = native.read(name)
+        assert header.text.startswith("// "), f"{name}: its first line is replaced, so it must be a comment"
+        assert header.text.partition("\n")[2].rstrip() in whole, f"{name}: no native function has its text"
 
 
 _HASHES = """

@@ -23,6 +23,7 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.camera_grid.setup import Grid
 from shadow_tracer.gpu.device import native
 
+
 @native.func_native("accelerators/camera_grid/binning.h", calls="Binning::count")
 def entries_of(
     triangle: int,
