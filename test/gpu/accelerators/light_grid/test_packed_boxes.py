@@ -288,3 +288,21 @@ def test_boxes_decide(any_device: str, variant: str, name: str) -> None:
     assert share["tile", _BESIDE] > (0.005 if name == "inside" else 0.15) * lit, share
     assert share["tile", _UNTOUCHED] > 0.1 * lit, share
     assert modes[True] > 20 and (modes[False] > 10) == (name == "inside"), modes
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", [*LIGHTS, *packed_grid.HARD])
+@pytest.mark.slow
+def test_both_forms_judge_alike(any_device: str, name: str) -> None:
+    """A tile that neither form leaves out before is judged alike, and triangles that cannot touch a face are the same
+    but for those that are not among the candidates."""
+    judged = 0
+    for seed in range(3):
+        outcomes = (_outcome(any_device, name, seed, variant) for variant in packed_grid.VARIANTS)
+        for (wide, _), (scalar, _) in zip(*outcomes, strict=True):
+            one, other = wide["tile"][0], scalar["tile"][0]
+            both = (one > _BESIDE) & (other > _BESIDE)
+            np.testing.assert_array_equal(one[both], other[both])
+            assert not ((other == _ABSENT) & (one != _ABSENT)).any()
+            judged += int(both.sum())
+    assert judged > 3_000, judged
