@@ -215,6 +215,25 @@ def test_sizes(path: Path) -> None:
             assert length <= 62, f"{node.name} has {length} lines, about 60 are allowed"
 
 
+_KERNELS = sorted((_PACKAGE / "gpu").rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", _KERNELS, ids=lambda path: path.relative_to(_ROOT).as_posix())
+def test_cpp_lies_in_headers(path: Path) -> None:
+    """A string holds no more C++ than a call, or what puts a few arguments together for it."""
+    tree = ast.parse(path.read_text())
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    prose = {id(node.body[0].value) for node in ast.walk(tree) if isinstance(node, documented) and _says(node.body)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
+            lines = node.value.strip().count("\n") + 1
+            assert ";" not in node.value or lines <= 6, f"line {node.lineno}: {lines} lines of C++ in a string"
+
+
+def _says(body: list[ast.stmt]) -> bool:
+    return bool(body) and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant)
+
+
 # Who looks inside a tracer. New questions are asked in probe.py by name, so that a change inside breaks one file; this
 # list only gets shorter.
 _LOOKS_INSIDE = {

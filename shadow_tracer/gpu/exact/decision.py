@@ -54,18 +54,6 @@ def ray_magnitude(ray: wp.vec4) -> float:
     return wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[3]) + MAGNITUDE_FLOOR
 
 
-# For sixteen rays, [U V W Z magnitude][ray], as bit masks: of those the answer is not no for, and yes for. For
-# Clang, that is for the CPU: its vector types become whatever registers there are.
-SIXTEEN = r"""
-    typedef float Sixteen __attribute__((ext_vector_type(16), aligned(4)));
-    typedef int SixteenInts __attribute__((ext_vector_type(16)));
-    typedef bool SixteenBits __attribute__((ext_vector_type(16)));
-    auto bits = [](SixteenInts x) -> int {
-        return __builtin_bit_cast(unsigned short, __builtin_convertvector(x, SixteenBits));
-    };
-"""
-
-
 @wp.func_native(
     native.snippet(
         "exact/filter.h",

@@ -41,7 +41,9 @@ struct Cover : Arithmetic32 {
     }
     // The next tile, by its place among the lists; NONE after the last one.
     inline int next() {
-        const bool alone = x0 == x1 && y0 == y1 && !coarse;
+        // Triangles are small, most of them, and the corners' bounds say nearly all.
+        if (x0 == x1 && y0 == y1 && !coarse)
+            return ++x == x0 ? y0 * grid.tiles_x + x0 : NONE;
         const int side = coarse ? grid.tile * grid.group : grid.tile;
         const int last_column = grid.tiles_x * grid.tile - 1, last_row = grid.tiles_y * grid.tile - 1;
         for (;;) {
@@ -52,7 +54,7 @@ struct Cover : Arithmetic32 {
             }
             const int column1 = (x + 1) * side - 1 < last_column ? (x + 1) * side - 1 : last_column;
             const int row1 = (y + 1) * side - 1 < last_row ? (y + 1) * side - 1 : last_row;
-            if (alone || may_meet(grid, record, x * side, column1, y * side, row1))
+            if (may_meet(grid, record, x * side, column1, y * side, row1))
                 return coarse ? grid.tiles_x * grid.tiles_y + y * grid.coarse_x + x : y * grid.tiles_x + x;
         }
     }

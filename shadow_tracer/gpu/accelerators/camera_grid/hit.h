@@ -33,9 +33,9 @@ struct Hit : Determinant {
     inline double depth(int triangle, const double (&d)[3]) const {
         return DepthPlane::depth(scene.planes.data + PLANE_COLUMNS * (size_t)triangle, d, 1);
     }
-    // Whether the ray through (x, y, 1) meets a triangle, and before `other`, -1 for none; inside, in_front: what
-    // float32 is sure of.
-    inline bool replaces(int triangle, int other, bool inside, bool in_front, double x, double y) {
+    // Whether the ray through (x, y, 1) meets a triangle, and before `other`, -1 for none. What float32 knows: inside,
+    // whether it surely does; low, the least inverse depth of the triangle; most, the largest of the other.
+    inline bool replaces(int triangle, int other, bool inside, float low, float most, double x, double y) {
         double d[3];
         DepthPlane::direction(grid, x, y, d, 1);
         if (!inside) {
@@ -43,7 +43,7 @@ struct Hit : Determinant {
             if (!meets(triangle, d))
                 return false;
         }
-        if (in_front || other < 0)
+        if (low > most || other < 0)
             return true;
         ++compared;
         const double mine = depth(triangle, d), before = depth(other, d);

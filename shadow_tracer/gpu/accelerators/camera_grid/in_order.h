@@ -20,14 +20,15 @@ struct InOrder {
             if (triangle + AHEAD < count)
                 __builtin_prefetch(corners.data + triangles.data[triangle + AHEAD][0]);
             Cover cover(triangle, grid, triangles, corners, records);
-            int number = 0, tile = cover.next();
-            for (; tile != Cover::NONE; tile = cover.next(), ++number) {
-                if (number < done)
-                    continue;
-                if (n == capacity)
-                    break;
-                pairs.data[n++] = wp::vec2i(tile, triangle);
-                ++tiles.data[tile];
+            int number = 0, tile;
+            while ((tile = cover.next()) != Cover::NONE) {
+                if (number >= done) {
+                    if (n == capacity)
+                        break;
+                    pairs.data[n++] = wp::vec2i(tile, triangle);
+                    ++tiles.data[tile];
+                }
+                ++number;
             }
             done = 0;
             if (tile != Cover::NONE) {

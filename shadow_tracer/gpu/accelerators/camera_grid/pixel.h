@@ -24,7 +24,7 @@ struct Pixel : Hit {
         if (!test.closer) {
             const double x = grid.tabled ? (double)ray[0] : grid.columns64.data[column];
             const double y = grid.tabled ? -(double)ray[1] : grid.rows64.data[row];
-            if (!replaces(triangle, best, test.inside, test.in_front, x, y))
+            if (!replaces(triangle, best, test.inside, test.low, reached.high, x, y))
                 return;
         }
         best = triangle;

@@ -5,7 +5,6 @@ struct WIDE(RayTest) {
     REAL low, high; // bounds of the inverse depth
     MASK closer;    // rays that surely meet the triangle, and in front of what they have met
     int inside;     // as bits: rays that surely meet it
-    int in_front;   // as bits: rays that it is surely in front of what they have met for, if they meet it
 
     inline void measure(const float* record, REAL x, REAL y, float magnitude) {
         const float* n = record + CameraRecord::Q;
@@ -31,10 +30,9 @@ struct WIDE(RayTest) {
         const int left = ~Lanes::bits(beside | (high < least)) & Lanes::ALL;
         if (left == 0)
             return 0;
-        const MASK sure = e > bound, before = low > most;
-        closer = sure & before;
+        const MASK sure = e > bound;
+        closer = sure & (low > most);
         inside = Lanes::bits(sure);
-        in_front = Lanes::bits(before);
         return left;
     }
 };

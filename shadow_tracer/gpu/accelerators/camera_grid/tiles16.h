@@ -73,7 +73,7 @@ struct Tiles16 : Hit {
             Lanes16::store(high + from, test.closer ? test.high : most);
             for (int rest = left & there[group] & ~Lanes16::bits(test.closer); rest; rest &= rest - 1) {
                 const int lane = __builtin_ctz(rest), pixel = from + lane;
-                if (!replaces(triangle, best[pixel], test.inside >> lane & 1, test.in_front >> lane & 1,
+                if (!replaces(triangle, best[pixel], test.inside >> lane & 1, test.low[lane], high[pixel],
                               grid.columns64.data[column0 + pixel % SIDE], grid.rows64.data[row0 + pixel / SIDE]))
                     continue;
                 best[pixel] = triangle;
