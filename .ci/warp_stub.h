@@ -2,6 +2,8 @@
 typedef decltype(sizeof(0)) size_t;
 extern "C" {
 float fabsf(float);
+float floorf(float);
+float ceilf(float);
 double fabs(double);
 double sqrt(double);
 float sqrtf(float);

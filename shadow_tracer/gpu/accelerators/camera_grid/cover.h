@@ -19,6 +19,11 @@ struct Cover : Arithmetic32 {
         x = x0 - 1;
         y = y0;
     }
+    // Places among the lists of tiles, the coarse ones behind the sorting tiles.
+    static inline int sorting_tile(const Grid& grid, int x, int y) { return y * grid.tiles_x + x; }
+    static inline int coarse_tile(const Grid& grid, int x, int y) {
+        return grid.tiles_x * grid.tiles_y + y * grid.coarse_x + x;
+    }
     // Whether any ray of these columns and rows may be inside the edges of a record.
     static inline bool may_meet(const Grid& grid, const float* record, int column0, int column1, int row0, int row1) {
         // The axes of a table of rays are the edges of the tiles, those of a pinhole the rays themselves.
@@ -43,7 +48,7 @@ struct Cover : Arithmetic32 {
     inline int next() {
         // Triangles are small, most of them, and the corners' bounds say nearly all.
         if (x0 == x1 && y0 == y1 && !coarse)
-            return ++x == x0 ? y0 * grid.tiles_x + x0 : NONE;
+            return ++x == x0 ? sorting_tile(grid, x0, y0) : NONE;
         const int side = coarse ? grid.tile * grid.group : grid.tile;
         const int last_column = grid.tiles_x * grid.tile - 1, last_row = grid.tiles_y * grid.tile - 1;
         for (;;) {
@@ -55,7 +60,7 @@ struct Cover : Arithmetic32 {
             const int column1 = (x + 1) * side - 1 < last_column ? (x + 1) * side - 1 : last_column;
             const int row1 = (y + 1) * side - 1 < last_row ? (y + 1) * side - 1 : last_row;
             if (may_meet(grid, record, x * side, column1, y * side, row1))
-                return coarse ? grid.tiles_x * grid.tiles_y + y * grid.coarse_x + x : y * grid.tiles_x + x;
+                return coarse ? coarse_tile(grid, x, y) : sorting_tile(grid, x, y);
         }
     }
 

@@ -5,37 +5,41 @@ struct Pixel : Hit {
     const int column, row;
     const float magnitude;
     int tests;
-    int best; // the closest triangle so far
-    RayTest1 reached;
+    int best;        // the closest triangle so far
+    float low, high; // bounds of its inverse depth
 
     inline Pixel(int column, int row, const wp::vec2& ray, int before, const Grid& grid, const Sorted& scene)
         : Hit(grid, scene), ray(ray), column(column), row(row), magnitude(fabsf(ray[0]) + fabsf(ray[1]) + 2.0f),
-          tests(0), best(before) {
-        reached.low = reached.high = -(float)HUGE_VAL;
-        if (before >= 0)
-            reached.measure(CameraRecord::at(scene.records, before), ray[0], ray[1], magnitude);
+          tests(0), best(before), low(-(float)HUGE_VAL), high(-(float)HUGE_VAL) {
+        if (before < 0)
+            return;
+        RayTest1 found;
+        found.measure(CameraRecord::at(scene.records, before), ray[0], ray[1], magnitude);
+        low = found.low;
+        high = found.high;
     }
     inline void visit(int triangle) {
         ++tests;
         RayTest1 test;
         const float* record = CameraRecord::at(scene.records, triangle);
-        if (!test.judge(record, ray[0], ray[1], magnitude, reached.low, reached.high))
+        if (!test.judge(record, ray[0], ray[1], magnitude, low, high))
             return;
         if (!test.closer) {
             const double x = grid.tabled ? (double)ray[0] : grid.columns64.data[column];
             const double y = grid.tabled ? -(double)ray[1] : grid.rows64.data[row];
-            if (!replaces(triangle, best, test.inside, test.low, reached.high, x, y))
+            if (!replaces(triangle, best, test.inside, test.low, high, x, y))
                 return;
         }
         best = triangle;
-        reached = test;
+        low = test.low;
+        high = test.high;
     }
     // The closest triangle of the lists of a tile and of what was found `before`, -1 for none.
     static inline int trace(int column, int row, const wp::vec2& ray, int before, int tile_x, int tile_y, int number,
                             const Grid& grid, const Sorted& scene, const wp::array_t<wp::int64>& counters) {
         Pixel it(column, row, ray, before, grid, scene);
-        const int fine = tile_y * grid.tiles_x + tile_x;
-        const int coarse = grid.tiles_x * grid.tiles_y + tile_y / grid.group * grid.coarse_x + tile_x / grid.group;
+        const int fine = Cover::sorting_tile(grid, tile_x, tile_y);
+        const int coarse = Cover::coarse_tile(grid, tile_x / grid.group, tile_y / grid.group);
         const int first = scene.starts.data[fine], mine = scene.starts.data[fine + 1] - first;
         const int further = scene.starts.data[coarse], others = scene.starts.data[coarse + 1] - further;
         // Both lists in one loop, so that the exact decision is compiled once.

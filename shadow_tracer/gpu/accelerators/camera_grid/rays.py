@@ -3,7 +3,7 @@
 
 The tiles are those of a pinhole that sees all rays, with as many pixels as the image; rays more than ``_WIDEST`` from
 the axis count to the outermost tiles, whose outer edges are the farthest rays. A ray lies in a tile by comparison of
-its float32 numbers with the float32 edges, so it is between the corners that ``may_meet`` looks at. ``cover`` measures
+its float32 numbers with the float32 edges, so it is between the corners that ``may_meet`` looks at. ``bound`` measures
 in pixels: an edge is off there by 2^-24 |x| fx, a sixteenth of its pad.
 """
 

@@ -107,8 +107,8 @@ struct Tiles16 : Hit {
         Tiles16 it(tile_y, grid, scene, image);
         for (int tile_x = 0; tile_x < grid.tiles_x; ++tile_x) {
             it.begin(tile_x, further);
-            const int fine = tile_y * grid.tiles_x + tile_x;
-            const int coarse = grid.tiles_x * grid.tiles_y + tile_y / grid.group * grid.coarse_x + tile_x / grid.group;
+            const int fine = Cover::sorting_tile(grid, tile_x, tile_y);
+            const int coarse = Cover::coarse_tile(grid, tile_x / grid.group, tile_y / grid.group);
             for (int k = scene.starts.data[fine]; k < scene.starts.data[fine + 1]; ++k)
                 it.visit(scene.lists.data[k]);
             for (int k = scene.starts.data[coarse]; k < scene.starts.data[coarse + 1]; ++k) {
