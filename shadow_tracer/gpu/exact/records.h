@@ -1,5 +1,5 @@
 // cpu
-// needs: exact/determinant.h
+// needs: exact/determinant.h exact/record.h
 // constants: RECORDS_BLOCK
 // arguments: LightFrame frame
 // First the side the light is on, as Determinant::sign decides it, without contraction; what it leaves open gets the
@@ -74,77 +74,24 @@ struct Records : Determinant {
             __atomic_fetch_add(&culled.data[row], front, __ATOMIC_RELAXED);
         {
 #pragma clang fp contract(fast)
-            const double scale = frame.inverse_scale, w_constant = frame.w_constant, w_slope = frame.w_slope;
-            const double ux = frame.r[0] * scale, uy = frame.r[1] * scale, uz = frame.r[2] * scale;
-            const double vx = frame.s[0] * scale, vy = frame.s[1] * scale, vz = frame.s[2] * scale;
-            const double zx = frame.f[0] * scale, zy = frame.f[1] * scale, zz = frame.f[2] * scale;
-            const double ox = frame.center[0], oy = frame.center[1], oz = frame.center[2];
-            const double rounding = factor * u32;
-            struct Place {
-                double u, v, w, z;
-            };
-            struct Plane {
-                double x, y, z, error;
-            };
-            auto turned = [&](double x, double y, double z, double constant) {
-                const double depth = zx * x + zy * y + zz * z;
-                return Place{ ux * x + uy * y + uz * z, vx * x + vy * y + vz * z, constant - w_slope * depth, depth };
-            };
-            auto length = [](const Place& e) { return fabs(e.u) + fabs(e.v) + fabs(e.w) + fabs(e.z); };
-            auto larger = [](double x, double y) { return x > y ? x : y; };
-            auto edge = [&](const Place& a, const Place& e, double sign) {
-                const double x = a.v * e.w - a.w * e.v, y = a.w * e.u - a.u * e.w, z = a.u * e.v - a.v * e.u;
-                const double inverse = 1.0 / larger(larger(fabs(x), fabs(y)), fabs(z)), unit = sign * inverse;
-                return Plane{ x * unit, y * unit, z * unit, setup * (1.0 + length(a)) * length(e) * inverse };
-            };
+            const Axes axes = Axes::of(frame);
+            const Factors factors = { factor, slope_factor, offset_factor, u32, setup, largest_offset };
             for (int j = 0; j < n; ++j) {
-                const double sign = side[j];
-                const Place a = turned(ax[j] - ox, ay[j] - oy, az[j] - oz, w_constant);
-                const Place b = turned(bx[j] - ox, by[j] - oy, bz[j] - oz, w_constant);
-                const Place c = turned(cx[j] - ox, cy[j] - oy, cz[j] - oz, w_constant);
-                corner[0][j] = a.u;
-                corner[1][j] = a.v;
-                corner[2][j] = a.w;
-                corner[3][j] = a.z;
-                corner[4][j] = b.u;
-                corner[5][j] = b.v;
-                corner[6][j] = b.w;
-                corner[7][j] = b.z;
-                corner[8][j] = c.u;
-                corner[9][j] = c.v;
-                corner[10][j] = c.w;
-                corner[11][j] = c.z;
-                const Place ab = turned(bx[j] - ax[j], by[j] - ay[j], bz[j] - az[j], 0.0);
-                const Place bc = turned(cx[j] - bx[j], cy[j] - by[j], cz[j] - bz[j], 0.0);
-                const Place ca = turned(ax[j] - cx[j], ay[j] - cy[j], az[j] - cz[j], 0.0);
-                const Plane p0 = edge(a, ab, sign), p1 = edge(b, bc, sign), p2 = edge(c, ca, sign);
-                // (b - a) x (c - a) = (a - c) x (b - a) in (U, V, Z)
-                double x = ca.v * ab.z - ca.z * ab.v, y = ca.z * ab.u - ca.u * ab.z, z = ca.u * ab.v - ca.v * ab.u;
-                const double inverse = 1.0 / larger(larger(fabs(x), fabs(y)), fabs(z)), flip = -sign * inverse;
-                x *= flip;
-                y *= flip;
-                z *= flip;
-                const double d = x * a.u + y * a.v + z * a.z;
-                const double error =
-                    setup * (fabs(ab.u) + fabs(ab.v) + fabs(ab.z)) * (fabs(ca.u) + fabs(ca.v) + fabs(ca.z)) * inverse;
-                const double extent = 1.0 + fabs(a.u) + fabs(a.v) + fabs(a.z);
-                record[0][j][0] = p0.x;
-                record[0][j][1] = p0.y;
-                record[0][j][2] = p0.z;
-                record[0][j][3] = rounding + 2.0 * larger(larger(p0.error, p1.error), p2.error);
-                record[1][j][0] = p1.x;
-                record[1][j][1] = p1.y;
-                record[1][j][2] = p1.z;
-                record[1][j][3] = slope_factor * u32 + 2.0 * error;
-                record[2][j][0] = p2.x;
-                record[2][j][1] = p2.y;
-                record[2][j][2] = p2.z;
-                const double bound = offset_factor * u32 * fabs(d) + 2.0 * (error + setup) * extent;
-                record[2][j][3] = fabs(d) < largest_offset ? bound : HUGE_VAL;
-                record[3][j][0] = x;
-                record[3][j][1] = y;
-                record[3][j][2] = z;
-                record[3][j][3] = d;
+                const Record made =
+                    Record::of(axes, factors, ax[j], ay[j], az[j], bx[j], by[j], bz[j], cx[j], cy[j], cz[j], side[j]);
+                made.store(record[0][j], record[1][j], record[2][j], record[3][j]);
+                corner[0][j] = (float)made.a.u;
+                corner[1][j] = (float)made.a.v;
+                corner[2][j] = (float)made.a.w;
+                corner[3][j] = (float)made.a.z;
+                corner[4][j] = (float)made.b.u;
+                corner[5][j] = (float)made.b.v;
+                corner[6][j] = (float)made.b.w;
+                corner[7][j] = (float)made.b.z;
+                corner[8][j] = (float)made.c.u;
+                corner[9][j] = (float)made.c.v;
+                corner[10][j] = (float)made.c.w;
+                corner[11][j] = (float)made.c.z;
             }
         }
         if (corners.shape[0] > 0) {
@@ -163,7 +110,6 @@ struct Records : Determinant {
         if (nothing + front > 0)
             for (int j = 0; j < n; ++j)
                 if (side[j] == 0.0)
-                    for (int k = 0; k < 4; ++k)
-                        out[4 * j + k] = wp::vec4(0.0f, 0.0f, 0.0f, k == 3 ? 1.0f : 0.0f);
+                    Record::never((float*)(out + 4 * j));
     }
 };

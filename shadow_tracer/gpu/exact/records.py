@@ -14,8 +14,7 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.exact.determinant import determinant_sign
-from shadow_tracer.gpu.exact.light_frame import LightFrame, frame_coordinates
+from shadow_tracer.gpu.exact.light_frame import LightFrame
 
 # Unit roundoff of float32, and the factors in front of it (docs/exactness.md, section 3): an edge is off by 5 u of the
 # ray's magnitude at most, the own plane by 4 u of its magnitude and 2 u of its offset; what is more pays for the
@@ -30,62 +29,24 @@ SETUP_ERROR = 2.0**-46
 LARGEST_OFFSET = 1.0e38
 
 
-@wp.func
-def largest(v: wp.vec3d) -> wp.float64:
-    return wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.abs(v[2]))
-
-
-@wp.func
-def edge_plane(a: wp.vec4d, e: wp.vec4d) -> wp.vec4d:
-    """Plane through the light and an edge from ``a`` along ``e``: a x e in (U, V, W), scaled to largest component 1,
-    and its relative error. ``e`` is a difference taken before rounding: a x (b - a), never a x b."""
-    n = wp.cross(wp.vec3d(a[0], a[1], a[2]), wp.vec3d(e[0], e[1], e[2]))
-    size = largest(n)
-    reach = wp.float64(1.0) + wp.abs(a[0]) + wp.abs(a[1]) + wp.abs(a[2]) + wp.abs(a[3])
-    length = wp.abs(e[0]) + wp.abs(e[1]) + wp.abs(e[2]) + wp.abs(e[3])
-    n = n / size
-    return wp.vec4d(n[0], n[1], n[2], wp.float64(SETUP_ERROR) * reach * length / size)
-
-
-@wp.func
-def edge_difference(frame: LightFrame, e: wp.vec3d) -> wp.vec4d:
-    """Difference of the frame coordinates of two points whose difference in the world is ``e``."""
-    x = e * frame.inverse_scale
-    z = wp.dot(frame.f, x)
-    return wp.vec4d(wp.dot(frame.r, x), wp.dot(frame.s, x), -frame.w_slope * z, z)
-
-
-@wp.func
-def own_plane(a: wp.vec4d, ab: wp.vec4d, ac: wp.vec4d, sign: wp.float64, u32: wp.float64):
-    """The triangle's plane (N, D) in (U, V, Z), N scaled to largest component 1, the light on its negative side; and
-    its bounds s_N and s_D."""
-    e1 = wp.vec3d(ab[0], ab[1], ab[3])
-    e2 = wp.vec3d(ac[0], ac[1], ac[3])
-    n = wp.cross(e1, e2)
-    size = largest(n)
-    l1 = wp.abs(e1[0]) + wp.abs(e1[1]) + wp.abs(e1[2])
-    l2 = wp.abs(e2[0]) + wp.abs(e2[1]) + wp.abs(e2[2])
-    n_error = wp.float64(SETUP_ERROR) * l1 * l2 / size
-    # The frame (r, s, f) is right-handed, so det[U V Z] keeps the sign; the light's side of the plane becomes negative.
-    n = n * (-sign / size)
-    d = n[0] * a[0] + n[1] * a[1] + n[2] * a[3]
-    extent = wp.float64(1.0) + wp.abs(a[0]) + wp.abs(a[1]) + wp.abs(a[3])
-    s_plane = wp.float64(SLOPE_FACTOR) * u32 + wp.float64(2.0) * n_error
-    s_offset = wp.float64(OFFSET_FACTOR) * u32 * wp.abs(d)
-    s_offset += wp.float64(2.0) * (n_error + wp.float64(SETUP_ERROR)) * extent
-    if not wp.abs(d) < wp.float64(LARGEST_OFFSET):
-        s_offset = wp.float64(wp.inf)
-    return wp.vec4d(n[0], n[1], n[2], d), s_plane, s_offset
-
-
-@wp.func
-def never_record(triangle: int, records: wp.array2d(dtype=wp.vec4)):
-    """A record whose plane test is a certain no: g = 0 - 1 < -0."""
-    zero = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    records[triangle, 0] = zero
-    records[triangle, 1] = zero
-    records[triangle, 2] = zero
-    records[triangle, 3] = wp.vec4(0.0, 0.0, 0.0, 1.0)
+@native.func_native("exact/record.h", calls="Record::make")
+def make_record(
+    i: int,
+    frame: LightFrame,
+    factor: wp.float64,
+    slope_factor: wp.float64,
+    offset_factor: wp.float64,
+    u32: wp.float64,
+    setup: wp.float64,
+    largest_offset: wp.float64,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.vec3i),
+    records: wp.array2d(dtype=wp.vec4),
+    cull: int,
+) -> int:
+    """Four planes and their error bounds of triangle ``i``: (n_ab, s_e) (n_bc, s_N) (n_ca, s_D) (N, D). Returns 1 if it
+    casts nothing because it is degenerate, 2 because it is culled, else 0."""
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -99,50 +60,26 @@ def prepare_triangles(
     degenerate: wp.array(dtype=int),
     culled: wp.array(dtype=int),
 ):
-    """Four planes and their error bounds per triangle, float64 rounded once: (n_ab, s_e) (n_bc, s_N) (n_ca, s_D) (N,
-    D). With ``cull``, triangles whose front faces the light cast nothing."""
+    """One triangle per thread. With ``cull``, triangles whose front faces the light cast nothing."""
     i = wp.tid()
-    frame = light[0]
-    corners = triangles[i]
-    a = vertices[corners[0]]
-    b = vertices[corners[1]]
-    c = vertices[corners[2]]
-    if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
-        never_record(i, records)
+    nothing = make_record(
+        i,
+        light[0],
+        factor,
+        wp.float64(SLOPE_FACTOR),
+        wp.float64(OFFSET_FACTOR),
+        wp.float64(U32),
+        wp.float64(SETUP_ERROR),
+        wp.float64(LARGEST_OFFSET),
+        vertices,
+        triangles,
+        records,
+        cull,
+    )
+    if nothing == 1:
         wp.atomic_add(degenerate, i & 63, 1)
-        return
-    side = determinant_sign(frame.light, b, c, a)
-    if side == 0:
-        # Zero area, or seen exactly edge-on from the light.
-        never_record(i, records)
-        wp.atomic_add(degenerate, i & 63, 1)
-        return
-    if cull != 0 and side > 0:
-        never_record(i, records)
+    if nothing == 2:
         wp.atomic_add(culled, i & 63, 1)
-        return
-    ab = b - a
-    ac = c - a
-    va = frame_coordinates(frame, a - frame.center)
-    vb = frame_coordinates(frame, b - frame.center)
-    vc = frame_coordinates(frame, c - frame.center)
-    eab = edge_difference(frame, ab)
-    eac = edge_difference(frame, ac)
-    p0 = edge_plane(va, eab)
-    p1 = edge_plane(vb, edge_difference(frame, c - b))
-    p2 = edge_plane(vc, edge_difference(frame, a - c))
-    sign = wp.float64(1.0)
-    if side < 0:
-        sign = wp.float64(-1.0)
-    u32 = wp.float64(U32)
-    edge_error = wp.max(wp.max(p0[3], p1[3]), p2[3])
-    s_edge = factor * u32 + wp.float64(2.0) * edge_error
-
-    n, s_plane, s_offset = own_plane(va, eab, eac, sign, u32)
-    records[i, 0] = wp.vec4(float(sign * p0[0]), float(sign * p0[1]), float(sign * p0[2]), float(s_edge))
-    records[i, 1] = wp.vec4(float(sign * p1[0]), float(sign * p1[1]), float(sign * p1[2]), float(s_plane))
-    records[i, 2] = wp.vec4(float(sign * p2[0]), float(sign * p2[1]), float(sign * p2[2]), float(s_offset))
-    records[i, 3] = wp.vec4(float(n[0]), float(n[1]), float(n[2]), float(n[3]))
 
 
 # Triangles per thread of the vectorised loops; their corners and planes stay in the first-level cache.
