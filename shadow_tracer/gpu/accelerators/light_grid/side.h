@@ -34,46 +34,69 @@ struct WIDE(Front) {
         return touched & ~(beside & seen.bounded);
     }
 };
-// Inlined for several lanes, the numbers of a side are spread over them ahead of loops that mostly end without them.
-#if LANES > 1
-#define CALLED __attribute__((noinline))
-#else
+// The planes of one of them on a face.
+struct WIDE(Numbers) {
+    typedef WIDE(Planes) Planes;
+    float a[4], b[4], c[4]; // of the edges and of P: factors of u and v, and what is left
+    float slope;            // of P along t
+    float edge, plane;      // factors of the pads
+
+    static inline float lane(const REAL& x, int number) { return ((const float*)&x)[number]; }
+    inline void take(const Planes* planes, int face, int number) {
+        const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
+        const float sign = face & 1 ? -1.0f : 1.0f;
+        for (int k = 0; k < 3; ++k) {
+            a[k] = lane(planes->n[k][first], number);
+            b[k] = lane(planes->n[k][second], number);
+            c[k] = sign * lane(planes->n[k][axis], number);
+        }
+        a[3] = lane(planes->p[first], number);
+        b[3] = lane(planes->p[second], number);
+        c[3] = sign * lane(planes->p[axis], number);
+        slope = lane(planes->p[3], number);
+        edge = lane(planes->edge, number);
+        plane = lane(planes->plane, number);
+    }
+};
+// One thread reads the numbers of a triangle once. For several lanes they are read by whoever needs them, in a function
+// that is not inlined: else they are spread over lanes ahead of loops that mostly end without them.
+#if LANES == 1
 #define CALLED inline
+#else
+#define CALLED __attribute__((noinline))
 #endif
-// One of them on a face, against LANES boxes of directions and depths.
+// One of the triangles on a face, against LANES boxes of directions and depths.
 struct WIDE(Side) {
     typedef WIDE(Lanes) Lanes;
     typedef WIDE(Planes) Planes;
     typedef WIDE(Seen) Seen;
-    float a[4], b[4], c[4]; // of the edges and of P: factors of u and v, and what is left on the face
-    float slope;            // of P along t
-    float edge, plane;      // factors of the pads
+    typedef WIDE(Numbers) Numbers;
+#if LANES == 1
+    Numbers numbers;
+#else
+    const Planes* planes;
+    int face, number;
+#endif
     float low_u, high_u, low_v, high_v, nearest;
     bool blind, bounded;
 
-    static inline float lane(const REAL& x, int number) { return ((const float*)&x)[number]; }
+    // planes: to stay where they are.
     inline void take(const Planes& planes, const Seen& seen, int face, int number) {
-        const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
-        const float sign = face & 1 ? -1.0f : 1.0f;
-        for (int k = 0; k < 3; ++k) {
-            a[k] = lane(planes.n[k][first], number);
-            b[k] = lane(planes.n[k][second], number);
-            c[k] = sign * lane(planes.n[k][axis], number);
-        }
-        a[3] = lane(planes.p[first], number);
-        b[3] = lane(planes.p[second], number);
-        c[3] = sign * lane(planes.p[axis], number);
-        slope = lane(planes.p[3], number);
-        edge = lane(planes.edge, number);
-        plane = lane(planes.plane, number);
+#if LANES == 1
+        numbers.take(&planes, face, number);
+#else
+        this->planes = &planes;
+        this->face = face;
+        this->number = number;
+#endif
         blind = planes.blind >> number & 1;
         bounded = seen.bounded >> number & 1;
         // Beyond all boxes, where nothing is known.
-        low_u = bounded ? lane(seen.low_u, number) : -3.0f;
-        high_u = bounded ? lane(seen.high_u, number) : 3.0f;
-        low_v = bounded ? lane(seen.low_v, number) : -3.0f;
-        high_v = bounded ? lane(seen.high_v, number) : 3.0f;
-        nearest = bounded ? lane(seen.nearest, number) : 3.0e38f;
+        low_u = bounded ? Numbers::lane(seen.low_u, number) : -3.0f;
+        high_u = bounded ? Numbers::lane(seen.high_u, number) : 3.0f;
+        low_v = bounded ? Numbers::lane(seen.low_v, number) : -3.0f;
+        high_v = bounded ? Numbers::lane(seen.high_v, number) : 3.0f;
+        nearest = bounded ? Numbers::lane(seen.nearest, number) : 3.0e38f;
     }
     // The boxes that its bounds touch, as bits. box: the first quantity of the first of them, the next is 16 behind.
     inline int touches(const float* box) const {
@@ -89,15 +112,20 @@ struct WIDE(Side) {
         // One thread gains by an early end; of sixteen boxes some are nearly always touched.
         if (blind || (LANES == 1 && !within))
             return within;
+#if LANES > 1
+        Numbers numbers;
+        numbers.take(planes, face, number);
+#endif
         const REAL cu = Lanes::load(box), cv = Lanes::load(box + 16), eu = Lanes::load(box + 32);
         const REAL ev = Lanes::load(box + 48), t0 = Lanes::load(box + 64), t1 = Lanes::load(box + 80);
         REAL middle[4], reach[4];
         for (int k = 0; k < 4; ++k) {
-            middle[k] = a[k] * cu + b[k] * cv + c[k];
-            reach[k] = fabsf(a[k]) * eu + fabsf(b[k]) * ev;
+            middle[k] = numbers.a[k] * cu + numbers.b[k] * cv + numbers.c[k];
+            reach[k] = fabsf(numbers.a[k]) * eu + fabsf(numbers.b[k]) * ev;
         }
         const REAL s0 = Lanes::absolute(t0), s1 = Lanes::absolute(t1), m = 6.0f + 2.001f * (s0 > s1 ? s0 : s1);
-        return WIDE(Box)::judge(within, middle, reach, slope * t0, slope * t1, edge * m, plane * m, covered);
+        return WIDE(Box)::judge(within, middle, reach, numbers.slope * t0, numbers.slope * t1, numbers.edge * m,
+                                numbers.plane * m, covered);
     }
 };
 #undef CALLED
