@@ -96,7 +96,7 @@ def expected(vertices: np.ndarray, triangles: np.ndarray, lamp: tuple[float, ...
     tracer = shadow_tracer.ShadowTracer(device="cpu", bounds=shadow_tracer.Bounds(max_triangles=100, max_rays=5000))
     tracer.scene.put("mesh", vertices, triangles)
     camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
-    return tracer.trace(wall(), camera, [PointLight("lamp", lamp)], bias=Bias(0.02, 0.003)).mask()
+    return tracer.trace(wall(), camera, [PointLight("lamp", lamp)], bias=Bias(0.02, 0.003, 0.6)).mask()
 
 
 @pytest.mark.slow

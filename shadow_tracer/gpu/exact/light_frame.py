@@ -117,12 +117,6 @@ def _make(
     return frame
 
 
-@native.func_native("exact/light.h", calls="LightSide::reaches")
-def light_reaches(p: wp.vec3d, light: wp.vec4d, axis: wp.vec3d, cosine: wp.float64, reach: wp.float64) -> int:
-    """LIT if the light shines towards ``p`` and far enough, else OUTSIDE."""
-    ...
-
-
 @native.func_native("exact/light.h", calls="LightSide::towards")
 def towards_light(p: wp.vec3d, light: wp.vec4d) -> wp.vec4d:
     """(unit direction to the light, distance to it; the largest float64 for a light at infinity)."""

@@ -2,8 +2,8 @@
 """Samples to rays: where each sample's biased start lies in the frame of a light, and its state before any triangle.
 
 CUDA takes one sample per thread (``project_samples``). On the CPU Warp's loops are scalar, so there a thread takes a
-block of samples and the compiler puts the loop over them into vector registers (``project_block``): no branches, the
-same operations in the same order, none of them contracted, hence the same bits.
+block of samples and the compiler puts the loop over them into vector registers (``project_block``). Both use one text
+(``view.h``), which has no branches.
 """
 
 from __future__ import annotations
@@ -14,21 +14,33 @@ import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.counters import RAYS
-from shadow_tracer.gpu.exact.light_frame import (
-    INVALID,
-    LIT,
-    PENDING,
-    LightFrame,
-    frame_coordinates,
-    light_reaches,
-    towards_light,
-)
+from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 
 # Values of `again`, see `project`.
 FIRST_TIME = wp.constant(0)
 PENDING_RAYS = wp.constant(1)
 ONCE_MORE = wp.constant(2)
+
+
+# Samples per thread of the vectorised loop.
+_BLOCK = 256
+native.constants(FIRST_TIME=FIRST_TIME, PENDING_RAYS=PENDING_RAYS, PROJECT_BLOCK=_BLOCK)
+
+
+@native.func_native("samples/project.h", calls="Project::one")
+def project_sample(
+    i: int,
+    frame: LightFrame,
+    again: int,
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+) -> int:
+    """Ray of sample ``i`` in the light's frame (the biased start; NaN if it has none), and its state before tracing.
+    Returns 1 if that is a ray to be counted."""
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -41,45 +53,12 @@ def project_samples(
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
-    """Ray of each sample in the light's frame (the biased start point), and its state before tracing."""
     i = wp.tid()
-    frame = light[0]
-    if again == PENDING_RAYS and states[i] != wp.uint8(PENDING):
-        return
-    if valid[i] == wp.uint8(0):
-        states[i] = wp.uint8(INVALID)
-        return
-    sample = samples[i]
-    p = wp.vec3d(sample[0], sample[1], sample[2])
-    bias = sample[3]
-    state = light_reaches(p, frame.light, frame.axis, frame.cosine, frame.reach)
-    if state == LIT:
-        way = towards_light(p, frame.light)
-        start = p - frame.center + wp.vec3d(way[0], way[1], way[2]) * bias
-        if bias >= way[3]:
-            # Nothing lies between the biased start and the light. A start beyond the light would turn the filter's
-            # planes around, so there is no ray: NaN says so (is_ray), and the sample stays lit as the exact decision
-            # has it.
-            rays[i] = wp.vec4(float(wp.nan), 0.0, 0.0, 0.0)
-        else:
-            c = frame_coordinates(frame, start)
-            rays[i] = wp.vec4(float(c[0]), float(c[1]), float(c[2]), float(c[3]))
-            size = wp.abs(c[0]) + wp.abs(c[1]) + wp.abs(c[2]) + wp.abs(c[3])
-            if bias * frame.inverse_scale > wp.float64(0.5) + size:
-                # The sum above may cancel beyond the bound of the filter; infinity is a maybe for everything.
-                rays[i] = wp.vec4(float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
-            if again == FIRST_TIME:
-                wp.atomic_add(counters, i & 63, RAYS, wp.int64(1))
-    if again != PENDING_RAYS:
-        states[i] = wp.uint8(state)
+    if project_sample(i, light[0], again, samples, valid, rays, states) != 0:
+        wp.atomic_add(counters, i & 63, RAYS, wp.int64(1))
 
 
-# Samples per thread of the vectorised loop.
-_BLOCK = 256
-native.constants(FIRST_TIME=FIRST_TIME, PENDING_RAYS=PENDING_RAYS, PROJECT_BLOCK=_BLOCK)
-
-
-@native.func_native("samples/project.h", calls="Project::block")
+@native.func_native("samples/project_block.h", calls="ProjectBlock::block")
 def project_block(
     first: int,
     count: int,
