@@ -27,8 +27,4 @@ struct Arithmetic {
     }
     static inline double absolute(double x) { return x < 0.0 ? -x : x; }
     static inline double norm(double x, double y, double z) { return sqrt(add(add(mul(x, x), mul(y, y)), mul(z, z))); }
-    // ((m0 x + m1 y) + m2 z) + m3
-    static inline double row(const wp::vec4d& m, const wp::vec3d& v) {
-        return add(add(add(mul(m[0], v[0]), mul(m[1], v[1])), mul(m[2], v[2])), m[3]);
-    }
 };

@@ -40,15 +40,3 @@ def determinant_sign(q: wp.vec4d, r: wp.vec3d, s: wp.vec3d, o: wp.vec3d) -> int:
 def norm3(x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
     """Euclidean norm without contraction: the same bits on every device."""
     ...
-
-
-@wp.func_native(
-    native.snippet(
-        "exact/arithmetic.h",
-        call="return wp::vec3d(Arithmetic::row(row0, v), Arithmetic::row(row1, v), Arithmetic::row(row2, v));",
-    )
-)
-def transform_point(row0: wp.vec4d, row1: wp.vec4d, row2: wp.vec4d, v: wp.vec3d) -> wp.vec3d:
-    """((r0 x + r1 y) + r2 z) + t per row, without contraction: the bits of ``Mesh.world_vertices`` and
-    ``Camera.unproject``."""
-    ...

@@ -121,11 +121,3 @@ def _make(
 def towards_light(p: wp.vec3d, light: wp.vec4d) -> wp.vec4d:
     """(unit direction to the light, distance to it; the largest float64 for a light at infinity)."""
     ...
-
-
-@wp.func
-def frame_coordinates(frame: LightFrame, offset: wp.vec3d) -> wp.vec4d:
-    """(U, V, W, Z) of the point ``center + offset``."""
-    x = offset * frame.inverse_scale
-    z = wp.dot(frame.f, x)
-    return wp.vec4d(wp.dot(frame.r, x), wp.dot(frame.s, x), frame.w_constant - frame.w_slope * z, z)

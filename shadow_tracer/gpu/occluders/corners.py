@@ -7,31 +7,29 @@ import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.slices import Slices
-from shadow_tracer.gpu.exact.light_frame import LightFrame, frame_coordinates
+from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 
 # Vertices per thread on the CPU.
 _BLOCK = 256
 
 
-@wp.kernel(enable_backward=False)
-def project_vertices(
-    light: wp.array(dtype=LightFrame), vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
-):
-    """(U, V, W, Z) of every vertex: each within 2^-24 relative and 2^-46 (1 + its distance from the anchor) of
-    exact."""
-    i = wp.tid()
-    frame = light[0]
-    c = frame_coordinates(frame, vertices[i] - frame.center)
-    out[i] = wp.vec4(float(c[0]), float(c[1]), float(c[2]), float(c[3]))
-
-
 @native.func_native("occluders/corners.h", calls="Corners::block")
 def project_block(
     frame: LightFrame, first: int, last: int, vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
 ):
-    """``project_vertices`` for the vertices from ``first`` to ``last``."""
+    """(U, V, W, Z) of the vertices from ``first`` to ``last``: each within 2^-24 relative and 2^-46 (1 + its distance
+    from the anchor) of exact."""
     ...
+
+
+@wp.kernel(enable_backward=False)
+def project_vertices(
+    light: wp.array(dtype=LightFrame), vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
+):
+    """One vertex per thread."""
+    i = wp.tid()
+    project_block(light[0], i, i + 1, vertices, out)
 
 
 @wp.kernel(enable_backward=False)

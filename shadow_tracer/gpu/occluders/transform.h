@@ -1,6 +1,5 @@
-// cpu
 // needs: exact/arithmetic.h
-// transform_point in a loop for the CPU's compiler to put into vector registers; the same bits.
+// ((r0 x + r1 y) + r2 z) + t per row, without contraction: the bits of Mesh.world_vertices and Camera.unproject.
 struct Transform : Arithmetic {
     static inline void block(const wp::vec4d& row0, const wp::vec4d& row1, const wp::vec4d& row2, int first, int begin,
                              int end, const wp::array_t<wp::vec3d>& local, const wp::array_t<wp::vec3d>& world) {

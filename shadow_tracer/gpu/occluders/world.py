@@ -11,7 +11,6 @@ import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.transfers import Uploads
-from shadow_tracer.gpu.exact.determinant import transform_point
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, all_three
 from shadow_tracer.scene.mesh import Mesh, Scene
@@ -30,20 +29,6 @@ class Revision:
     positions: int = 0
 
 
-@wp.kernel(enable_backward=False)
-def transform_vertices(
-    row0: wp.vec4d,
-    row1: wp.vec4d,
-    row2: wp.vec4d,
-    first: int,
-    local: wp.array(dtype=wp.vec3d),
-    world: wp.array(dtype=wp.vec3d),
-):
-    """world = pose * local."""
-    i = first + wp.tid()
-    world[i] = transform_point(row0, row1, row2, local[i])
-
-
 _BLOCK = wp.constant(1024)
 
 
@@ -60,6 +45,20 @@ def transform_block(
 ):
     """Vertices ``begin`` to ``end`` of a mesh, whose first is number ``first`` of ``world``."""
     ...
+
+
+@wp.kernel(enable_backward=False)
+def transform_vertices(
+    row0: wp.vec4d,
+    row1: wp.vec4d,
+    row2: wp.vec4d,
+    first: int,
+    local: wp.array(dtype=wp.vec3d),
+    world: wp.array(dtype=wp.vec3d),
+):
+    """world = pose * local, one vertex per thread; ``local`` is as long as ``world``."""
+    i = first + wp.tid()
+    transform_block(row0, row1, row2, 0, i, i + 1, local, world)
 
 
 @wp.kernel(enable_backward=False)

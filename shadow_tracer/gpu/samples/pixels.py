@@ -17,45 +17,9 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
-from shadow_tracer.gpu.exact.determinant import transform_point
 from shadow_tracer.gpu.samples.pinhole import Pinhole
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 from shadow_tracer.scene.checks import LARGEST
-
-
-@native.func_native("samples/pixels.h", calls="Pixel::sample")
-def pixel_sample(camera: Pinhole, table: wp.array(dtype=wp.vec2), i: int, z: wp.float64) -> wp.vec4d:
-    """Sample of pixel ``i`` of the buffers with depth ``z`` [m], in the optical frame."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
-def unproject(
-    cameras: wp.array(dtype=Pinhole),
-    table: wp.array(dtype=wp.vec2),
-    units_per_metre: wp.float64,
-    depth: wp.array(dtype=Any),
-    samples: wp.array(dtype=wp.vec4d),
-    valid: wp.array(dtype=wp.uint8),
-):
-    """Samples and validity of all pixels; ``units_per_metre`` is 1 for metres, 1000 for millimetres."""
-    i = wp.tid()
-    camera = cameras[0]
-    raw = wp.float64(depth[i])
-    if not (raw > wp.float64(0.0)) or not wp.isfinite(raw):
-        valid[i] = wp.uint8(0)
-        return
-    local = pixel_sample(camera, table, i, raw / units_per_metre)
-    p = transform_point(camera.row0, camera.row1, camera.row2, wp.vec3d(local[0], local[1], local[2]))
-    largest = wp.float64(LARGEST)
-    samples[i] = wp.vec4d(p[0], p[1], p[2], wp.min(local[3], largest))
-    valid[i] = wp.uint8(0)
-    if wp.abs(p[0]) <= largest and wp.abs(p[1]) <= largest and wp.abs(p[2]) <= largest:
-        valid[i] = wp.uint8(1)
-
-
-wp.overload(unproject, {"depth": wp.array(dtype=wp.float32)})
-wp.overload(unproject, {"depth": wp.array(dtype=wp.uint16)})
 
 # Pixels per thread of the vectorised loop.
 _BLOCK = 1024
@@ -78,7 +42,8 @@ def unproject_block(
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
 ):
-    """``unproject`` for up to 1024 pixels from ``first`` on, vectorised. Samples of invalid pixels are written, too."""
+    """Samples and validity of up to 1024 pixels from ``first`` on, and before ``count``; ``units_per_metre`` is 1 for
+    metres, 1000 for millimetres. Samples of invalid pixels are written, too."""
     ...
 
 
@@ -96,6 +61,60 @@ def unproject_block(  # noqa: F811, an overload
 ):
     """The same for millimetres."""
     ...
+
+
+_ONE = native.snippet(
+    "samples/pixels_one.h",
+    call="Unproject::one(i, camera, table, units_per_metre, largest, depth, samples, valid);",
+)
+
+
+@wp.func_native(_ONE)
+def unproject_pixel(
+    i: int,
+    camera: Pinhole,
+    table: wp.array(dtype=wp.vec2),
+    units_per_metre: wp.float64,
+    largest: wp.float64,
+    depth: wp.array(dtype=wp.float32),
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+):
+    """Sample and validity of pixel ``i`` of the buffers; ``units_per_metre`` is 1 for metres, 1000 for millimetres."""
+    ...
+
+
+@wp.func_native(_ONE)  # type: ignore[no-redef]
+def unproject_pixel(  # noqa: F811, an overload
+    i: int,
+    camera: Pinhole,
+    table: wp.array(dtype=wp.vec2),
+    units_per_metre: wp.float64,
+    largest: wp.float64,
+    depth: wp.array(dtype=wp.uint16),
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+):
+    """The same for millimetres."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def unproject(
+    cameras: wp.array(dtype=Pinhole),
+    table: wp.array(dtype=wp.vec2),
+    units_per_metre: wp.float64,
+    depth: wp.array(dtype=Any),
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+):
+    """One pixel per thread; ``units_per_metre`` is 1 for metres, 1000 for millimetres."""
+    i = wp.tid()
+    unproject_pixel(i, cameras[0], table, units_per_metre, wp.float64(LARGEST), depth, samples, valid)
+
+
+wp.overload(unproject, {"depth": wp.array(dtype=wp.float32)})
+wp.overload(unproject, {"depth": wp.array(dtype=wp.uint16)})
 
 
 @wp.kernel(enable_backward=False)
