@@ -131,7 +131,8 @@ def test_a_damaged_kernel_cache_is_mended_and_logged(tmp_path: Path) -> None:
         code, errors = process.stop(signal.SIGTERM)
     assert code == 0 and "kernel cache" not in errors
     (said,) = [line for line in process.out if "kernel cache: " in line]
-    assert "[WARN]" in said and f"{files[0].parent.name} was damaged and has been removed" in said
+    # Other versions of the package may have left modules of the same name in the cache.
+    assert "[WARN]" in said and any(f"{file.parent.name} was damaged and has been removed" in said for file in files)
 
 
 def test_masks_over_real_topics_and_a_malformed_request() -> None:
