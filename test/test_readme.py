@@ -286,3 +286,18 @@ def test_prose_in_docs_is_100_wide(page: Path) -> None:
     """Tables, code, comments and pictures cannot be wrapped."""
     for line in prose(page).splitlines():
         assert len(line) <= 100 or line.startswith(("|", "    ", "<!--", "![")), f"{page.name}: {line}"
+
+
+def test_files_that_are_named_exist() -> None:
+    """In docs and in the text of the package: a file that has moved or gone is not named any more."""
+    there = {path.name for name in ("shadow_tracer", "test", "benchmark", ".ci") for path in (ROOT / name).rglob("*.*")}
+    pages = [*DOCS.glob("*.md"), README, ROOT / "CONTRIBUTING.md", *(ROOT / "shadow_tracer").rglob("*.py")]
+    named = {
+        (name.split("/")[-1], page.name)
+        for page in pages
+        for name in re.findall(r"`([\w/]+\.(?:py|h))(?=[:`])", page.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 100
+    examples = {"setup.py", "name.h", "n.h"}  # a file of the user, a pattern, and a dot product
+    missing = sorted((name, page) for name, page in named if name not in there | examples)
+    assert not missing, missing

@@ -21,7 +21,7 @@ class PipelineEntry:
         summary: one line of explanation.
         classes: ``module:class`` below ``shadow_tracer.gpu.accelerators`` of each variant, the default variant first;
             made with the variant and a ``Context``. None where the engine chooses among the other pipelines.
-        side_by_side: variants of which several may work at once, each on rays of its own.
+        side_by_side: variants of which several may work at once, each on separate rays.
     """
 
     summary: str
@@ -99,7 +99,7 @@ def resolve(pipeline: str, variant: str | None) -> tuple[str, str]:
 
 
 def side_by_side(pipeline: str, variant: str) -> bool:
-    """Whether several of a variant may work at once, each on rays of its own."""
+    """Whether several of a variant may work at once, each on separate rays."""
     return variant in REGISTRY[pipeline].side_by_side
 
 

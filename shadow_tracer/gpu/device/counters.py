@@ -21,7 +21,7 @@ PEAK_QUEUE = wp.constant(7)
 ENTRIES = wp.constant(8)
 LARGEST_TILE = wp.constant(9)
 SPLITS = wp.constant(10)
-OVERFLOWS = wp.constant(11)  # further passes that a pipeline did by itself
+OVERFLOWS = wp.constant(11)  # further passes within a pipeline
 native.constants(RAYS=RAYS, NODES_VISITED=NODES_VISITED, LEAF_TESTS=LEAF_TESTS, RETESTED=RETESTED, EXACT=EXACT)
 native.constants(ACCEPTED=ACCEPTED, PASSES=PASSES, ENTRIES=ENTRIES)
 LARGEST = ("peak_queue", "largest_tile")  # of these the largest value of any row counts, not the sum

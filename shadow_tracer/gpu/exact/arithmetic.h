@@ -1,5 +1,5 @@
-// float64 without contraction, whatever the options of the module are: the same bits on every device. Clang is told by
-// a pragma, CUDA by intrinsics that are never contracted.
+// float64 without contraction, whatever the options of the module are: the same bits on every device. A pragma
+// says so to Clang; CUDA has intrinsics that are never contracted.
 struct Arithmetic {
     static inline double add(double x, double y) {
         UNCONTRACTED

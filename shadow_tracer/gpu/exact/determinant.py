@@ -15,7 +15,7 @@ Predicates", 1997; ``docs/exactness.md`` has the error bound of tier 1 and the r
 underflow: magnitudes of coordinates and of their non-zero differences between 1e-60 and 1e60).
 
 The code is C++ (``arithmetic.h``, ``determinant.h``) because contraction of ``a*b + c`` must be off here, whatever the
-module's options are: Clang is told by a pragma, CUDA by the ``_rn`` intrinsics, which are never contracted.
+module's options are: a pragma says so to Clang, and on CUDA the ``_rn`` intrinsics are never contracted.
 """
 
 from __future__ import annotations
@@ -33,10 +33,4 @@ from shadow_tracer.gpu.device import native
 )
 def determinant_sign(q: wp.vec4d, r: wp.vec3d, s: wp.vec3d, o: wp.vec3d) -> int:
     """Sign (-1, 0, 1) of det[q.xyz - q.w*o, r - o, s - o] with q.w either 0 or 1, exact."""
-    ...
-
-
-@native.func_native("exact/arithmetic.h", calls="Arithmetic::norm")
-def norm3(x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
-    """Euclidean norm without contraction: the same bits on every device."""
     ...

@@ -72,27 +72,24 @@ struct Records : Determinant {
             __atomic_fetch_add(&degenerate.data[row], nothing, __ATOMIC_RELAXED);
         if (front)
             __atomic_fetch_add(&culled.data[row], front, __ATOMIC_RELAXED);
-        {
-#pragma clang fp contract(fast)
-            const Axes axes = Axes::of(frame);
-            const Factors factors = { factor, slope_factor, offset_factor, u32, setup, largest_offset };
-            for (int j = 0; j < n; ++j) {
-                const Record made =
-                    Record::of(axes, factors, ax[j], ay[j], az[j], bx[j], by[j], bz[j], cx[j], cy[j], cz[j], side[j]);
-                made.store(record[0][j], record[1][j], record[2][j], record[3][j]);
-                corner[0][j] = (float)made.a.u;
-                corner[1][j] = (float)made.a.v;
-                corner[2][j] = (float)made.a.w;
-                corner[3][j] = (float)made.a.z;
-                corner[4][j] = (float)made.b.u;
-                corner[5][j] = (float)made.b.v;
-                corner[6][j] = (float)made.b.w;
-                corner[7][j] = (float)made.b.z;
-                corner[8][j] = (float)made.c.u;
-                corner[9][j] = (float)made.c.v;
-                corner[10][j] = (float)made.c.w;
-                corner[11][j] = (float)made.c.z;
-            }
+        const Axes axes = Axes::of(frame);
+        const Factors factors = { factor, slope_factor, offset_factor, u32, setup, largest_offset };
+        for (int j = 0; j < n; ++j) {
+            const Record made =
+                Record::of(axes, factors, ax[j], ay[j], az[j], bx[j], by[j], bz[j], cx[j], cy[j], cz[j], side[j]);
+            made.store(record[0][j], record[1][j], record[2][j], record[3][j]);
+            corner[0][j] = (float)made.a.u;
+            corner[1][j] = (float)made.a.v;
+            corner[2][j] = (float)made.a.w;
+            corner[3][j] = (float)made.a.z;
+            corner[4][j] = (float)made.b.u;
+            corner[5][j] = (float)made.b.v;
+            corner[6][j] = (float)made.b.w;
+            corner[7][j] = (float)made.b.z;
+            corner[8][j] = (float)made.c.u;
+            corner[9][j] = (float)made.c.v;
+            corner[10][j] = (float)made.c.w;
+            corner[11][j] = (float)made.c.z;
         }
         if (corners.shape[0] > 0) {
             // Lanes behind the last triangle repeat it.

@@ -58,7 +58,7 @@ class Grid:
     rows: wp.array(dtype=float)
     columns64: wp.array(dtype=wp.float64)  # x and y
     rows64: wp.array(dtype=wp.float64)
-    # Of a camera with a table of rays the axes are the grid's alone (``primary_rays.py``).
+    # Of a camera with a table of rays the axes are the grid's alone (``rays.py``).
     tabled: int
     table: wp.array(dtype=wp.vec2)  # x and y of each pixel's ray
     tile_of: wp.array(dtype=int)  # the sorting tile that it lies in, -1 where there is none
