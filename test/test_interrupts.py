@@ -5,6 +5,7 @@ nothing that was half done is believed, and no thread works on in buffers that a
 from __future__ import annotations
 
 import time
+import weakref
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -145,7 +146,32 @@ def _interrupt(steps: Steps, function: Callable[[], Any], at: int) -> None:
         steps.run(function, at)
     except Ring:
         return
-    assert steps.taken < at, "an exception arrives"
+    assert steps.taken < steps.at, "an exception arrives"
+
+
+def test_no_exception_is_lost_in_what_swallows_it() -> None:
+    """One that arrives in a ``__del__`` or in a weak reference's callback is only printed: another follows."""
+
+    class Deleted:
+        def __del__(self) -> None:
+            len("")
+
+    def function() -> None:
+        nonlocal kept
+        kept = None
+        Deleted()
+        len("")
+
+    steps, weak, moved = Steps(), weakref.WeakSet[Any](), 0
+    kept = Deleted()
+    weak.add(kept)
+    for at in range(1, steps.count(function) + 1):
+        kept = Deleted()
+        weak.add(kept)
+        with pytest.raises(Ring):
+            steps.run(function, at)
+        moved += steps.taken > at
+    assert moved > 3
 
 
 def test_an_exception_at_any_step_of_an_image() -> None:
