@@ -123,7 +123,7 @@ class Packing:
     """Packs any rays, without a scene."""
 
     def __init__(self, device: str, variant: str, max_rays: int, max_lights: int = 1) -> None:
-        self._tracer = ShadowTracer("light_grid", variant, device, Bounds(1, max_rays, max_lights, 1, 1))
+        self._tracer = ShadowTracer("light_grid", variant, device, Bounds(1, max_rays, max_lights, 1, 1), threads=1)
 
     def pack(
         self,
@@ -132,7 +132,7 @@ class Packing:
         states: np.ndarray | None = None,
         lights: tuple[Light, ...] = (OUTSIDE,),
     ) -> Packed:
-        """(lights, N, 4) rays in light space; (lights, N) kind of participant (all in tiles) and states (all lit)."""
+        """(lights, N, 4) rays in light space; (lights, N) group (all in tiles) and states (all lit)."""
         engine: Any = self._tracer._engine.inside
         frame, pipeline = engine._frame, engine._pipeline
         rays = np.ascontiguousarray(rays, np.float32).reshape(len(lights), -1, 4)
@@ -140,7 +140,7 @@ class Packing:
         frames = tuple(make_light_frame(light, Anchor((0.0, 0.0, 0.0), 1.0), k) for k, light in enumerate(lights))
         frame.set_samples(count, 0)
         frame.set_lights(frames)
-        group = pipeline._participants.group
+        group = pipeline._admission.groups
         frame.rays[:everything].assign(rays.reshape(-1, 4))
         group[:everything].assign(np.ones(everything, np.uint8) if kind is None else kind.reshape(-1))
         frame.states_of(0, len(lights)).assign(np.zeros(everything, np.uint8) if states is None else states.reshape(-1))

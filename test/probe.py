@@ -79,14 +79,14 @@ def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayT
     pipeline._descend = taken.append
     tracer.occluded(points, light, bias)
     del pipeline._descend
-    frame, scene, who = inside._frame, inside._scene, pipeline._participants
+    frame, scene, who = inside._frame, inside._scene, pipeline._admission
     occluders = Occluders()
     occluders.count, occluders.triangles = scene.triangle_count, scene.triangles
     occluders.records, occluders.corners = inside._context.records.memory, pipeline._corners.of(0)
     space = make_light_space(make_light_frame(light, inside._anchor))
-    tree, answers = pipeline._buffers.tree, who.answers(taken[0])
+    tree, answers = pipeline._buffers.tree, pipeline._context.answers(taken[0])
     found = int(who.counts.numpy()[0])
-    return RayTree(tree, pipeline._order, frame, scene, who.group, found, space, occluders, answers)
+    return RayTree(tree, pipeline._order, frame, scene, who.groups, found, space, occluders, answers)
 
 
 def forget_anchor(tracer: ShadowTracer) -> None:
@@ -126,6 +126,6 @@ def loaded(tracer: ShadowTracer) -> set[Any]:
 def _forget(share: Any) -> None:
     if share._kept is not None:
         share._kept.forget()
-    guesses = getattr(share.pipeline, "_occluders", None)  # of mesh_bvh: each ray's last occluder
-    if guesses is not None:
-        guesses.zero_()
+    tree = getattr(share.pipeline, "_tree", None)  # of mesh_bvh: what hid each ray last
+    if tree is not None:
+        tree.hints.zero_()

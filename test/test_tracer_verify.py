@@ -136,7 +136,7 @@ def test_a_blind_pipeline_is_found_out(any_device: str, names: str, wrong: str) 
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
     engine_: Any = tracer._engine.inside
     pipeline = engine_._pipeline if wrong == "first" else engine_._second.pipeline
-    pipeline.trace = lambda work: None
+    pipeline.show = lambda work: None
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == shadows
 

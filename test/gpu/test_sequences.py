@@ -11,7 +11,7 @@ import sequences
 from poison import BYTES, Poison
 from sequences import ROOMY, TIGHT
 
-from shadow_tracer import Bounds, PointLight, ShadowTracer, available_pipelines
+from shadow_tracer import Bounds, ShadowTracer, available_pipelines
 from shadow_tracer.gpu.engine import cuts
 from shadow_tracer.gpu.engine import frame as frame_tracer
 
@@ -146,27 +146,3 @@ def test_a_frame_takes_what_it_takes_a_fresh_tracer(names: tuple[str, str]) -> N
             probe.forget_anchor(each)
             counters.append(step.counters(each))
         assert counters[0] == counters[1], number
-
-
-@pytest.mark.slow
-def test_lights_in_passes_of_their_own_take_no_more_passes_together(any_device: str) -> None:
-    """One has a single uncertain pair a ray, the other many; what is counted for one is not taken for the other."""
-    fan = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
-    rim = np.stack([0.1 * np.cos(fan), 0.1 * np.sin(fan), np.full(40, 5.0)], axis=-1)
-    vertices = np.concatenate([[(0, 0, 5.0)], rim, [(5, 0, 0), (5, 0, 40), (5, 5, 20.0)]])
-    triangles = [*((0, 1 + k, 1 + (k + 1) % 40) for k in range(40)), (41, 42, 43)]
-    points = np.zeros((400, 3))
-    points[:, 2] = 10.0 + 0.01 * np.arange(400)
-    one, many = PointLight("one", (10.0, 0.0, 0.0)), PointLight("many", (0.0, 0.0, 0.0))
-
-    def passes(names: tuple[str, str], lights: list[PointLight]) -> int:
-        bounds = Bounds(len(triangles), 400, 2, queue_capacity=8, grid_entries=4096)
-        tracer = ShadowTracer(*names, device=any_device, bounds=bounds, threads=1)
-        tracer.scene.put("fan", vertices, triangles)
-        traced = probe.trace_points(tracer, points, lights)
-        assert (traced.states == 1).all()
-        return traced.counters["overflow_passes"]
-
-    for names in [("cone_hierarchy", "linear"), ("cone_hierarchy", "precise_sea"), ("light_grid", "spherical")]:
-        apart = passes(names, [one]) + passes(names, [many])
-        assert max(passes(names, [one, many]), passes(names, [many, one])) <= apart + 10 < 500

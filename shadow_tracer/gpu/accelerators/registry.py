@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from shadow_tracer.gpu.accelerators.interface import Context, Pipeline
+    from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,11 @@ def side_by_side(pipeline: str, variant: str) -> bool:
     return variant in REGISTRY[pipeline].side_by_side
 
 
-def make_pipeline(name: str, variant: str, context: Context) -> Pipeline:
+def make_pipeline(name: str, variant: str, context: Context) -> Accelerator:
     """Make the pipeline ``name`` over the given context. Imports Warp, and of the pipelines only that one."""
     where = REGISTRY[name].classes[variant]
     assert where is not None, f"{name} is no separate pipeline"
     module, _, kind = where.partition(":")
     made: Any = getattr(import_module(f"shadow_tracer.gpu.accelerators.{module}"), kind)
-    pipeline: Pipeline = made(variant, context)
+    pipeline: Accelerator = made(variant, context)
     return pipeline

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.gpu.accelerators.interface import Context, Pipeline
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 from shadow_tracer.gpu.accelerators.registry import side_by_side
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import FrameGraphs
@@ -90,7 +90,7 @@ class FrameTracer:
         self.take(*self.make_teams(names, chooser))
 
     @property
-    def _pipeline(self) -> Pipeline:
+    def _pipeline(self) -> Accelerator:
         return self._team[0].pipeline
 
     def make_teams(self, names: Names, chooser: Chooser | None) -> tuple[Chooser | None, dict[Names, list[Share]]]:
@@ -298,7 +298,7 @@ class FrameTracer:
                 self._planes.fetch(len(lights))
         # Further passes may make another light's records in the place of these.
         silent = self._context.records.silent(len(lights) - 1)
-        further = sum(share.finish_overflow(passes) for share in working)
+        further = sum(share.finish(passes) for share in working)
         with self.stages.stage("download"):
             found = self._found(working, len(lights), further > 0)
             counters = gather_counters(working)
@@ -319,7 +319,7 @@ class FrameTracer:
     def _passes(self, working: Sequence[Share], light_frames: Sequence[light_frame.LightFrame]) -> list[Pass]:
         """As many lights together as the pipeline takes and as there is room for."""
         together = min(
-            self._pipeline.lights_together,
+            self._pipeline.traits.lights_at_once,
             len(light_frames),
             *(share.frame.bounds.max_rays // max(share.frame.count, 1) for share in working),
             self._context.records.room(),
@@ -336,7 +336,7 @@ class FrameTracer:
         kernels = (first.names, None if source is None else source.name, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
         self._cold |= not loaded
-        if self._use_graphs and first.pipeline.recordable:
+        if self._use_graphs and first.pipeline.traits.recordable:
             frame, scene = first.frame, self._scene
             key = (*kernels[:2], frame.count, frame.width, scene.triangle_count, scene.vertex_count)
 
@@ -362,7 +362,7 @@ class FrameTracer:
         share.begin(source)
         for work in passes:
             share.project(work)
-            share.prepare(work)
+            share.aim(work)
             share.trace(work)
         if self._planes:
             with self.stages.stage("download"):
@@ -376,7 +376,7 @@ class FrameTracer:
         run: Callable[[Sequence[Job]], None],
     ) -> None:
         for number, work in enumerate(passes):
-            working[0].prepare(work)
+            working[0].aim(work)
 
             def job(share: Share, work: Pass = work, first: bool = number == 0) -> None:
                 begin = time.perf_counter()

@@ -56,7 +56,7 @@ def _fail_once(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, after: in
 
 
 @pytest.mark.parametrize("names", _PIPELINES)
-@pytest.mark.parametrize("where", ["project", "prepare", "trace"])
+@pytest.mark.parametrize("where", ["project", "aim", "trace"])
 def test_a_frame_after_one_that_failed_is_right(names: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Records were announced for new lights and not made: nobody may take those of the old lights for them."""
     tracer, other = _tracer(names), _tracer(names)
@@ -76,7 +76,7 @@ def test_a_tree_that_could_not_be_made_is_made_in_the_next_frame(monkeypatch: py
     for each in (tracer, other):
         each.scene.put("ball", *geometry.icosphere(2, 0.4, (0.5, 0.5, 2.0)))
     with monkeypatch.context() as patch:
-        _fail_once(patch, mesh_bvh, "_scene_box")
+        _fail_once(patch, mesh_bvh, "scene_box")
         with pytest.raises(_Out):
             _states(tracer)
     assert np.array_equal(_states(tracer), _states(other))

@@ -186,8 +186,8 @@ def test_counters_are_those_of_the_last_light_even_after_further_passes() -> Non
     nobody, and so needs none."""
     vertices, triangles = geometry.icosphere(1, 0.7, (0.0, 0.0, 2.0))
     counters = []
-    for queue in (4096, 1):
-        bounds = replace(_BOUNDS, max_triangles=len(triangles) + 10, queue_capacity=queue)
+    for entries in (8192, 1):
+        bounds = replace(_BOUNDS, max_triangles=len(triangles) + 10, grid_entries=entries)
         tracer = ShadowTracer(
             "light_grid", "packed_scalar", device="cpu", bounds=bounds, threads=1, front_face_culling=True
         )

@@ -3,15 +3,8 @@
 
 Warp's own mesh query is not exact, for two reasons: its box test rounds (rays aimed at vertices and edges of a closed
 mesh leak), and its triangle test is float32 from the sample's side. Here the tree only proposes triangles, the shadow
-test decides, and the boxes are padded so that no rounding can hide a triangle:
-
-Let E be the largest coordinate of the scene's box around its centre O. Boxes are made in float64 relative to O in units
-of E, padded by 2^-19 and rounded outwards. A ray is clipped to the (padded) box of the scene in float64 first, so that
-its float32 start lies within E and its length within 2 sqrt(3) E. With u = 2^-24, start and direction then displace a
-point of the ray by at most 5 u E per axis, and the slab test's three roundings displace a slab by at most 3 u * 2 E;
-together 11 u E, and the padding is 32 u E. Direction components below 1e-20 are replaced by 1e-20, so 1/0 and 0 *
-infinity cannot occur; that displaces a point by less than 1e-19 E. Clipping rounds by 2^-50 of the sample's distance
-from O; a sample farther away than 2^26 E, where that would eat the padding, is shown every triangle instead.
+test decides, and boxes are padded so that no rounding can hide a triangle: ``segment.py`` leaves 27 u E of the padding,
+u = 2^-24 and E the scene's extent, and the slab test's three roundings displace a slab by at most 3 u * 2 E.
 
 The tree is refitted while only positions change and rebuilt when the topology does. A refitted tree grows worse as
 things move, so it is rebuilt as well once rays test twice as many triangles as they did right after the last build.
@@ -20,312 +13,86 @@ Variant ``rebuild`` rebuilds always; ``binary`` is ``refit`` without the wide fo
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.bvh.binary_tree import FOUND, search
-from shadow_tracer.gpu.accelerators.bvh.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse, search_wide
+from shadow_tracer.gpu.accelerators.bvh.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse
 from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.segment import SceneBox, scene_box, triangle_boxes
+from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.gpu.device import forms
-from shadow_tracer.gpu.device.counters import LEAF_TESTS, NODES_VISITED
-from shadow_tracer.gpu.exact.decision import YES, filter_pair, is_ray, ray_magnitude
-from shadow_tracer.gpu.exact.light_frame import LIT, PENDING, SHADOWED, towards_light
-from shadow_tracer.gpu.occluders.world import Revision
-from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.visibility.queue import enqueue, test_everything
 
-# Samples farther from the scene's centre than this many scene sizes do not use the tree.
-_FAR = 2.0**26
 # A refitted tree whose rays test this many times the triangles they tested after the last build is built again.
 _WORN_OUT = 2.0
 
 
-# State, pairs queued so far, triangles tested, nodes visited, and the occluder or -1.
-Outcome = wp.types.vector(length=5, dtype=wp.int32)
-
-
-# Padding of boxes in units of the scene's extent.
-_PADDING = 2.0**-19
-
-
 @wp.struct
-class SceneBox:
-    """The box that holds every triangle: its centre [m], one over its largest half size, and its half size in units of
-    that, padded."""
-
-    center: wp.vec3d
-    inverse_extent: wp.float64
-    half: wp.vec3d
-
-
-@wp.struct
-class Tree:
-    """The tree, its box, and the wide form of it (if ``wide`` is not 0)."""
+class Structure:
+    """The tree, its box, the wide form of it, and what hid each ray of the frame before."""
 
     bvh: wp.uint64
-    wide: int
     bounds: wp.array(dtype=float)
     links: wp.array(dtype=int)
+    hints: wp.array(dtype=int)
     box: SceneBox
 
 
-@wp.kernel(enable_backward=False)
-def triangle_boxes(
-    box: SceneBox,
-    vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array(dtype=wp.vec3i),
-    lowers: wp.array(dtype=wp.vec3),
-    uppers: wp.array(dtype=wp.vec3),
-):
-    """Padded boxes relative to the scene's centre, rounded outwards."""
-    i = wp.tid()
-    corners = triangles[i]
-    a = (vertices[corners[0]] - box.center) * box.inverse_extent
-    b = (vertices[corners[1]] - box.center) * box.inverse_extent
-    c = (vertices[corners[2]] - box.center) * box.inverse_extent
-    if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
-        lowers[i] = wp.vec3(0.0, 0.0, 0.0)
-        uppers[i] = wp.vec3(0.0, 0.0, 0.0)
-        return
-    padding = wp.float64(_PADDING)
-    low = wp.min(wp.min(a, b), c)
-    high = wp.max(wp.max(a, b), c)
-    # The padding is 32 ulps of the largest coordinate, rounding to float32 half an ulp: outward by far.
-    lowers[i] = wp.vec3(float(low[0] - padding), float(low[1] - padding), float(low[2] - padding))
-    uppers[i] = wp.vec3(float(high[0] + padding), float(high[1] + padding), float(high[2] + padding))
+_WIDE = Walk("accelerators/bvh/wide_tree.h", Structure)
+_BINARY = Walk("accelerators/bvh/binary_tree.h", Structure)
 
 
-@wp.func
-def clip_axis(span: wp.vec2d, start: wp.float64, way: wp.float64, half: wp.float64) -> wp.vec2d:
-    """Part of the parameter interval ``span`` in which start + t * way lies within +-half."""
-    if wp.abs(way) < wp.float64(1.0e-20):
-        if wp.abs(start) > half:
-            return wp.vec2d(wp.float64(1.0), wp.float64(-1.0))
-        return span
-    t0 = (-half - start) / way
-    t1 = (half - start) / way
-    return wp.vec2d(wp.max(span[0], wp.min(t0, t1)), wp.min(span[1], wp.max(t0, t1)))
-
-
-@wp.func
-def away_from_zero(x: wp.float64) -> float:
-    """``x`` as float32, but never so small that its reciprocal is infinite."""
-    y = float(x)
-    if wp.abs(y) < 1.0e-20:
-        y = 1.0e-20
-    return y
-
-
-@wp.func
-def walk_ray(
-    sample: int,
-    start: wp.vec3d,
-    way: wp.vec4d,
-    ray: wp.vec4,
-    magnitude: float,
-    queued: int,
-    triangle_count: int,
-    tree: Tree,
-    records: wp.array2d(dtype=wp.vec4),
-    queue: wp.array(dtype=wp.vec2i),
-    queue_count: wp.array(dtype=int),
-) -> Outcome:
-    """(state, pairs queued so far, tests, nodes, occluder or -1) of a ray that starts at ``start`` (from the box's
-    centre, in units of its extent) and goes ``way`` (unit direction, length [m]); its first ``queued`` uncertain pairs
-    are skipped."""
-    span = wp.vec2d(wp.float64(0.0), way[3] * tree.box.inverse_extent)
-    span = clip_axis(span, start[0], way[0], tree.box.half[0])
-    span = clip_axis(span, start[1], way[1], tree.box.half[1])
-    span = clip_axis(span, start[2], way[2], tree.box.half[2])
-    result = int(LIT)
-    tests = int(0)
-    nodes = int(0)
-    occluder = int(-1)
-    if span[0] <= span[1]:
-        entry = start + wp.vec3d(way[0], way[1], way[2]) * span[0]
-        origin = wp.vec3(float(entry[0]), float(entry[1]), float(entry[2]))
-        direction = wp.vec3(away_from_zero(way[0]), away_from_zero(way[1]), away_from_zero(way[2]))
-        longest = float((span[1] - span[0]) * wp.float64(1.0001) + wp.float64(_PADDING))
-        more = bool(True)
-        while more:
-            if tree.wide != 0:
-                found = search_wide(
-                    tree.bvh, tree.bounds, tree.links, origin, direction, longest, records, ray, magnitude, queued
-                )
-            else:
-                found = search(tree.bvh, origin, direction, longest, records, ray, magnitude, queued)
-            tests += found[1]
-            nodes += found[2]
-            more = False
-            if found[0] < 0:
-                all = test_everything(sample, ray, magnitude, queued, 0, triangle_count, records, queue, queue_count)
-                return Outcome(all[0], all[1], tests + all[2], nodes, -1)
-            if found[0] > 0:
-                result = SHADOWED
-                occluder = found[4]
-            else:
-                for k in range(wp.min(found[3] - queued, FOUND)):
-                    if result == LIT:
-                        if enqueue(sample, found[4 + k], queue, queue_count):
-                            queued += 1
-                        else:
-                            result = PENDING
-                more = result == LIT and queued < found[3]
-    return Outcome(result, queued, tests, nodes, occluder)
-
-
-@wp.kernel(enable_backward=False)
-def walk(
-    attempt: int,
-    triangle_count: int,
-    tree: Tree,
-    light: wp.vec4d,
-    samples: wp.array(dtype=wp.vec4d),
-    rays: wp.array(dtype=wp.vec4),
-    records: wp.array2d(dtype=wp.vec4),
-    queue: wp.array(dtype=wp.vec2i),
-    queue_count: wp.array(dtype=int),
-    resume: wp.array(dtype=int),
-    occluders: wp.array(dtype=int),
-    states: wp.array(dtype=wp.uint8),
-    counters: wp.array2d(dtype=wp.int64),
-):
-    """One ray per thread; ``attempt`` as in ``brute_force.py``."""
-    i = wp.tid()
-    state = states[i]
-    ray = rays[i]
-    if not is_ray(state, ray) or (attempt > 0 and state != wp.uint8(PENDING)):
-        return
-    queued = int(0)
-    if attempt == 2:
-        queued = resume[i]
-    magnitude = ray_magnitude(ray)
-    sample = samples[i]
-    p = wp.vec3d(sample[0], sample[1], sample[2])
-    # What hid the neighbour mostly hides this sample too. Any triangle may be tried: a stale hint costs a test, no bit.
-    hint = occluders[wp.max(i - 1, 0)]
-    start = (p - tree.box.center) * tree.box.inverse_extent
-    if wp.max(wp.max(wp.abs(start[0]), wp.abs(start[1])), wp.abs(start[2])) > wp.float64(_FAR):
-        all = test_everything(i, ray, magnitude, queued, 0, triangle_count, records, queue, queue_count)
-        found = Outcome(all[0], all[1], all[2], 0, -1)
-    elif hint < triangle_count and filter_pair(ray, magnitude, records, hint) == YES:
-        found = Outcome(SHADOWED, queued, 1, 0, hint)
-    else:
-        way = towards_light(p, light)
-        found = walk_ray(i, start, way, ray, magnitude, queued, triangle_count, tree, records, queue, queue_count)
-    occluders[i] = hint
-    if found[4] >= 0:
-        occluders[i] = found[4]
-    if found[0] == PENDING:
-        resume[i] = found[1]
-    states[i] = wp.uint8(found[0])
-    wp.atomic_add(counters, i & 63, LEAF_TESTS, wp.int64(found[2]))
-    wp.atomic_add(counters, i & 63, NODES_VISITED, wp.int64(found[3]))
-
-
-class MeshBvh:
+class MeshBvh(Walker):
     """The ``mesh_bvh`` pipeline."""
 
-    recordable = False
-    lights_together = 1
-    keeps_rays = False
-
     def __init__(self, variant: str, context: Context) -> None:
+        super().__init__(context)
         self._variant = variant
-        self._context = context
-        self._lowers = wp.empty(context.frame.bounds.max_triangles, dtype=wp.vec3, device=context.frame.device)
-        self._uppers = wp.empty(context.frame.bounds.max_triangles, dtype=wp.vec3, device=context.frame.device)
-        self._occluders = wp.zeros(context.frame.bounds.max_rays, dtype=int, device=context.frame.device)
+        bounds, device = context.frame.bounds, context.frame.device
+        self._lowers = wp.empty(bounds.max_triangles, dtype=wp.vec3, device=device)
+        self._uppers = wp.empty(bounds.max_triangles, dtype=wp.vec3, device=device)
         # Of the builders Warp offers on the CPU, cuBQL's is the fastest and its trees are as good as SAH's; on CUDA
         # only LBVH can be rebuilt on the device.
-        self._constructor = "cubql" if context.frame.device.is_cpu else "lbvh"
+        self._constructor = "cubql" if device.is_cpu else "lbvh"
         self._bvh: wp.Bvh | None = None
         # Vector registers make eight boxes as cheap as one on the CPU; CUDA threads walk the binary tree.
-        self._widens = forms.wide(context.frame.device) and variant != "binary"
-        nodes = max(1024, context.frame.bounds.max_triangles // 4) if self._widens else 1
-        self._tree = Tree()
-        self._tree.bounds = wp.empty(nodes * BOUNDS_PER_NODE, dtype=float, device=context.frame.device)
-        self._tree.links = wp.empty(nodes * LINKS_PER_NODE, dtype=int, device=context.frame.device)
-        self._wide_nodes = wp.zeros(1, dtype=int, device=context.frame.device)
-        self._made_for: Revision | None = None
+        self._widens = forms.wide(device) and variant != "binary"
+        nodes = max(1024, bounds.max_triangles // 4) if self._widens else 1
+        self._tree = Structure()
+        self._tree.bounds = wp.empty(nodes * BOUNDS_PER_NODE, dtype=float, device=device)
+        self._tree.links = wp.empty(nodes * LINKS_PER_NODE, dtype=int, device=device)
+        self._tree.hints = wp.zeros(bounds.max_rays, dtype=int, device=device)
+        self._wide_nodes = wp.zeros(1, dtype=int, device=device)
         self._built_count = 0
         self._fresh_tests: float | None = None  # tests per ray of the first frame after a build
         self._worn_out = False
 
-    def follow(self) -> None:
-        """Refit or build the tree if the scene is not the one that it was made for."""
-        scene, device = self._context.scene, self._context.frame.device
-        made_for = self._made_for
-        if made_for == scene.revision:
-            return
+    def build(self) -> Structure:
+        """Refit or build the tree."""
+        scene, device, made_for = self._context.scene, self._context.frame.device, self._made_for
         count = scene.triangle_count
-        if count == 0:
-            self._bvh, self._made_for = None, scene.revision
-            return
         same = made_for is not None and made_for.topology == scene.revision.topology
         rebuild = self._variant == "rebuild" or not same or self._worn_out
-        with self._context.stages.stage("build"):
-            self._tree.box = _scene_box(*scene.box())
-            wp.launch(
-                triangle_boxes,
-                dim=count,
-                inputs=[self._tree.box, scene.vertices, scene.triangles, self._lowers, self._uppers],
-                device=device,
-            )
-            if self._bvh is None or count != self._built_count:
-                # In place is impossible with another number of boxes; the old tree is freed with its object.
-                self._bvh = wp.Bvh(
-                    self._lowers[:count], self._uppers[:count], constructor=self._constructor, leaf_size=4
-                )
-                self._built_count = count
-                rebuild = True
-            elif rebuild:
-                self._bvh.rebuild()
-            else:
-                self._bvh.refit()
-            self._tree.bvh = self._bvh.id
-            self._tree.wide = 0
-            if self._widens:
-                inputs = [self._bvh.id, self._tree.bounds, self._tree.links, self._wide_nodes]
-                wp.launch(collapse, dim=1, inputs=inputs, device=device)
-                self._tree.wide = int(self._wide_nodes.numpy()[0] > 0)
+        self._tree.box = scene_box(*scene.box())
+        inputs = [self._tree.box, scene.vertices, scene.triangles, self._lowers, self._uppers]
+        wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
+        if self._bvh is None or count != self._built_count:
+            # In place is impossible with another number of boxes; the old tree is freed with its object.
+            self._bvh = wp.Bvh(self._lowers[:count], self._uppers[:count], constructor=self._constructor, leaf_size=4)
+            self._built_count = count
+            rebuild = True
+        elif rebuild:
+            self._bvh.rebuild()
+        else:
+            self._bvh.refit()
+        self._tree.bvh = self._bvh.id
+        self.walk = _BINARY
+        if self._widens:
+            inputs = [self._bvh.id, self._tree.bounds, self._tree.links, self._wide_nodes]
+            wp.launch(collapse, dim=1, inputs=inputs, device=device)
+            self.walk = _WIDE if self._wide_nodes.numpy()[0] > 0 else _BINARY
         if rebuild:
             self._fresh_tests = None
             self._worn_out = False
-        self._made_for = scene.revision  # last: a tree that could not be made is made again
-
-    def prepare(self, work: Pass) -> None:
-        """Records of the light."""
-        with self._context.stages.stage("setup"):
-            self._context.records.prepare(work.light)
-
-    def trace(self, work: Pass) -> None:
-        """Walk every ray of the light through the tree."""
-        frame, light, attempt = work.light, work.first, work.attempt
-        if self._bvh is None:
-            return
-        buffers, stages = self._context.frame, self._context.stages
-        with stages.stage("trace"):
-            wp.launch(
-                walk,
-                dim=buffers.count,
-                inputs=[
-                    attempt,
-                    self._context.scene.triangle_count,
-                    self._tree,
-                    frame.light,
-                    buffers.samples,
-                    buffers.rays,
-                    self._context.records.of(light),
-                    buffers.queue,
-                    buffers.queue_count_of[light],
-                    buffers.resume,
-                    self._occluders,
-                    buffers.states_of(light),
-                    buffers.counters,
-                ],
-                device=buffers.device,
-            )
+        return self._tree
 
     def learn(self, counters: dict[str, int]) -> None:
         """Judge the tree by the triangles tested per ray in the frame that just ended."""
@@ -338,16 +105,5 @@ class MeshBvh:
 
     def nbytes(self) -> int:
         """Boxes and trees; Warp does not tell the size of its own, which is two 32-byte nodes per triangle at most."""
-        arrays = (self._lowers, self._uppers, self._occluders, self._tree.bounds, self._tree.links)
+        arrays = (self._lowers, self._uppers, self._tree.hints, self._tree.bounds, self._tree.links)
         return sum(int(array.capacity) for array in arrays) + 64 * self._built_count
-
-
-def _scene_box(low: np.ndarray, high: np.ndarray) -> SceneBox:
-    center = 0.5 * low + 0.5 * high
-    half = np.maximum(high - center, center - low)
-    extent = max(float(half.max()), 1e-60)
-    box = SceneBox()
-    box.center = wp.vec3d(*center)
-    box.inverse_extent = 1.0 / extent
-    box.half = wp.vec3d(*(half / extent + 2.0 * _PADDING))
-    return box

@@ -149,7 +149,7 @@ def test_few_entries_and_a_small_queue(make: Make, any_device: str, variant: str
     for _ in range(2):
         states, counters = _traced(cramped, view)
         np.testing.assert_array_equal(states, expected)
-        assert queue > 3 or counters["overflow_passes"] > 0
+        assert queue > 3 or probe.wide(any_device) or counters["overflow_passes"] > 0
     assert 0.2 < (expected == State.SHADOWED).mean() < 0.98
 
 

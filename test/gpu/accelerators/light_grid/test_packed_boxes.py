@@ -193,7 +193,8 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
     tracer.scene.put("mesh", corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
     tracer.occluded(points, light, bias)
     work, way, wide = taken[0][0], pipeline._way, tracer.variant == "packed"
-    occluders, answers = way.occluders(work), pipeline._participants.answers(work)
+    context = pipeline._context
+    occluders, answers = getattr(way, "occluders", context.occluders)(work), context.answers(work)
     tiles, space = pipeline._buffers.tiles, make_light_space(make_light_frame(light, engine._anchor))
     packed = packed_grid.read(tiles)
     if not hidden.size:

@@ -12,7 +12,7 @@ import pytest
 from packed_grid import BLOCK, LEVELS, NEAR, OUTSIDE, TILE, VARIANTS, Packed, Packing
 
 from shadow_tracer import DirectionalLight
-from shadow_tracer.gpu.accelerators.participants import ABSENT, IN_TREE, WILD
+from shadow_tracer.gpu.accelerators.admission import ABSENT, IN_TREE, WILD
 from shadow_tracer.scene.lights import Light
 
 _MOST = 20_000
