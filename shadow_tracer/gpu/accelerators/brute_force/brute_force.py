@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every sample against every triangle: the in-house oracle.
 
-Variant ``filtered`` uses the float32 filter and the queue as every pipeline does; ``scalar`` is the same with one
-sample per thread on every device; ``float64`` asks the exact decision for every single pair and uses neither. All must
-give the same bits, which tests the filter's bound on any scene at hand.
+Variant ``filtered`` uses the float32 filter and the queue as every pipeline does; ``float64`` asks the exact decision
+for every single pair and uses neither. Both must give the same bits, which tests the filter's bound on any scene at
+hand.
 
 Cost: samples x triangles pairs, 12 multiply-adds each, 64 bytes of record per triangle read by all samples. On the CPU
 a thread takes a block of samples and the filter runs over them in vector registers (Warp's own loops are scalar there:
-ten times slower); on CUDA, and in variant ``scalar``, a thread takes one sample.
+ten times slower); on CUDA a thread takes one sample.
 
 ``attempt`` of ``trace``: 0 looks at every ray; 1 looks again, from the start, at rays that found the queue full
 (PENDING); 2 goes on with them where the attempt before stopped (``resume`` counts the pairs of a sample that have been
@@ -199,7 +199,7 @@ class BruteForce:
             buffers.counters,
         ]
         with stages.stage("trace"):
-            if self._variant == "filtered" and forms.wide(buffers.device):
+            if forms.wide(buffers.device):
                 blocks = -(-buffers.count // _BLOCK)
                 inputs = [buffers.count, attempt, scene.triangle_count, *arrays]
                 wp.launch(test_all_blocks, dim=blocks, inputs=inputs, device=buffers.device)

@@ -29,7 +29,7 @@ class LinearHierarchy:
         self._context = context
         self._participants = Participants(context)
         self._corners = context.shared.take(Corners, lambda: Corners(context.records))
-        self._wide = forms.wide(context.frame.device) and variant == "linear"
+        self._wide = forms.wide(context.frame.device)
         self._order = RayOrder(context, self._participants, hilbert=False, packed=self._wide)
         self.recordable = not self._wide
         self._buffers = RayTreeBuffers(context, self._order, self._participants, self._wide)

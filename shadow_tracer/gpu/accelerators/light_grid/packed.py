@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Variant ``packed``: rays in equal tiles, triangles sorted into them. ``packed_scalar`` is what CUDA does, on any
-device."""
+"""Variant ``packed``: rays in equal tiles, triangles sorted into them."""
 
 from __future__ import annotations
 
@@ -155,14 +154,14 @@ def pack_wide(
 
 
 class PackedGrid:
-    """The pipeline's variants ``packed`` and ``packed_scalar``; see ``tiles.py``."""
+    """The pipeline's variant ``packed``; see ``tiles.py``."""
 
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
         self.lights_together = context.frame.bounds.max_lights
         self._participants = Participants(context)
         self._buffers = TileBuffers(context.frame)
-        wide = forms.wide(context.frame.device) and variant == "packed"
+        wide = forms.wide(context.frame.device)
         self._way: _Wide | _Scalar = (_Wide if wide else _Scalar)(context, self._buffers, self._participants)
         self.recordable, self.keeps_rays = True, wide
 
