@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from shadow_tracer import ShadowTracer, depth_camera
+from shadow_tracer import DepthCamera, ShadowTracer, depth_camera
 
 # The form of kernels that the CPU takes in this process, see conftest.py, and that of a CUDA thread.
 USUAL, CUDA = "usual_form", "cuda_form"
@@ -151,8 +151,13 @@ def uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sizes
 
 
+def kept_depth_camera(device: str) -> DepthCamera | None:
+    """The one that ``render_depth`` keeps from call to call."""
+    return depth_camera._cameras.get(device)
+
+
 def loaded(tracer: ShadowTracer) -> set[Any]:
-    """What has been launched on the tracer's device by anybody."""
+    """What has been launched on the tracer's device, in the tracer's form, by anybody."""
     return tracer._engine._seat.loaded
 
 

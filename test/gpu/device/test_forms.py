@@ -15,7 +15,7 @@ import numpy as np
 import probe
 import pytest
 
-from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, Scene, ShadowTracer, depth_camera, render_depth
+from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, Scene, ShadowTracer, render_depth
 from shadow_tracer.gpu.device import forms
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -92,6 +92,6 @@ def test_kernels_of_one_form_are_not_those_of_the_other() -> None:
             tracer = ShadowTracer("light_grid", device="cpu", bounds=Bounds(1, 16, 1), threads=1)
             loaded.append(probe.loaded(tracer))
             render_depth(scene, camera, "cpu")
-            cameras.append(depth_camera._cameras["cpu"])
+            cameras.append(probe.kept_depth_camera("cpu"))
     assert loaded[0] is not loaded[1] and cameras[0] is not cameras[1]
-    assert depth_camera._cameras["cpu"] is cameras[0]
+    assert probe.kept_depth_camera("cpu") is cameras[0]
