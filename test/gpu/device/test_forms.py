@@ -84,7 +84,7 @@ def test_both_forms_give_the_same_bits(pipeline: str) -> None:
 
 @pytest.mark.wide
 def test_kernels_of_one_form_are_not_those_of_the_other() -> None:
-    """Who has launched a pipeline in one form has loaded nothing for the other, nor seen the other's depth images."""
+    """What has been launched is known of each form apart, and ``render_depth`` keeps a camera for each."""
     scene, camera = Scene(), Camera(4, 4, 4.0, 4.0, 1.5, 1.5)
     loaded, cameras = [], []
     for form in probe.FORMS:
