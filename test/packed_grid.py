@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tiles of `light_grid`'s variants `packed` and `packed_scalar`, alone and as numpy arrays."""
+"""The tiles of `light_grid`'s variant `packed`, alone and as numpy arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from shadow_tracer.gpu.exact.light_frame import Anchor, make_anchor, make_light_
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.scene.lights import Light
 
-VARIANTS = ("packed", "packed_scalar")
 TILE, BLOCK = 32, 512  # rays
 LEVELS = ("tile", "block", "column")
 # At distance 1 from samples around the origin with scale 1, the depth of light space is 1/|h| for the first, Z/|h| for
@@ -122,8 +121,8 @@ def read(tiles: Tiles) -> Packed:
 class Packing:
     """Packs any rays, without a scene."""
 
-    def __init__(self, device: str, variant: str, max_rays: int, max_lights: int = 1) -> None:
-        self._tracer = ShadowTracer("light_grid", variant, device, Bounds(1, max_rays, max_lights, 1, 1), threads=1)
+    def __init__(self, device: str, max_rays: int, max_lights: int = 1) -> None:
+        self._tracer = ShadowTracer("light_grid", "packed", device, Bounds(1, max_rays, max_lights, 1, 1), threads=1)
 
     def pack(
         self,

@@ -4,12 +4,45 @@ device side keeps things."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
-from shadow_tracer import ShadowTracer
+from shadow_tracer import DepthCamera, ShadowTracer, depth_camera
+
+# The form of kernels that the CPU takes in this process, see conftest.py, and that of a CUDA thread.
+USUAL, CUDA = "usual_form", "cuda_form"
+FORMS = (USUAL, CUDA)
+in_both_forms = pytest.mark.parametrize("kernel_form", FORMS, indirect=True)
+in_cuda_form = pytest.mark.parametrize("kernel_form", [CUDA], indirect=True)
+
+
+def in_forms(argument: str, usual: Sequence[Any], cuda: Sequence[Any]) -> pytest.MarkDecorator:
+    """Give an argument of a test some values in the usual form, and some in the form of CUDA."""
+    cases = []
+    for form, values in ((USUAL, usual), (CUDA, cuda)):
+        for value in values:
+            name = value if isinstance(value, str) else "/".join(value)
+            cases.append(pytest.param(value, form, id=name if form == USUAL else f"{name}-{form}"))
+    return pytest.mark.parametrize((argument, "kernel_form"), cases, indirect=["kernel_form"])
+
+
+@contextmanager
+def form(name: str) -> Iterator[None]:
+    """Let the CPU run kernels in one of :data:`FORMS`. A tracer that is made meanwhile is not to be used afterwards,
+    nor one that was made before, except in the same form again. The fixture ``kernel_form`` does it for a whole test.
+    """
+    if name == USUAL:
+        yield
+        return
+    from shadow_tracer.gpu.device import forms
+
+    with pytest.MonkeyPatch.context() as patch, forms.cuda_form():
+        patch.setattr(depth_camera, "_cameras", {})  # render_depth keeps one from call to call, of the other form
+        yield
 
 
 def wide(device: str) -> bool:
@@ -118,8 +151,13 @@ def uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sizes
 
 
+def kept_depth_camera(device: str) -> DepthCamera | None:
+    """The one that ``render_depth`` keeps from call to call."""
+    return depth_camera._cameras.get(device)
+
+
 def loaded(tracer: ShadowTracer) -> set[Any]:
-    """What has been launched on the tracer's device by anybody."""
+    """What has been launched on the tracer's device, in the tracer's form, by anybody."""
     return tracer._engine._seat.loaded
 
 

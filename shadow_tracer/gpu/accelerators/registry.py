@@ -54,12 +54,12 @@ _OF_THE_PAPER = (
 REGISTRY: dict[str, PipelineEntry] = {
     "light_grid": PipelineEntry(
         "triangles in tiles of directions around the light, rays sorted into them",
-        {"packed": _PACKED, "packed_scalar": _PACKED, "spherical": "spherical_grid.spherical:SphericalGrid"},
+        {"packed": _PACKED, "spherical": "spherical_grid.spherical:SphericalGrid"},
         ("packed",),
     ),
     "cone_hierarchy": PipelineEntry(
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
-        {"linear": _LINEAR, "linear_scalar": _LINEAR} | dict.fromkeys(_OF_THE_PAPER, _PAPER),
+        {"linear": _LINEAR} | dict.fromkeys(_OF_THE_PAPER, _PAPER),
         ("linear",),
     ),
     "mesh_bvh": PipelineEntry(
@@ -68,8 +68,8 @@ REGISTRY: dict[str, PipelineEntry] = {
     ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
-        dict.fromkeys(("filtered", "scalar", "float64"), _BRUTE_FORCE),
-        ("filtered", "scalar", "float64"),
+        dict.fromkeys(("filtered", "float64"), _BRUTE_FORCE),
+        ("filtered", "float64"),
     ),
     AUTO: PipelineEntry(
         "chooses one of the others for each frame, by what frames have cost on this device", {"measured": None}

@@ -168,7 +168,7 @@ def test_every_parameter_is_shown_to_change_something() -> None:
         ("bias__constant", "small", "bias.constant: expected double (0 to 1 m), got 'small'"),
         ("mask__unknown_value", 255, "mask.unknown_value: expected integer (0 to 254), got 255"),
         ("pose_source", "gps", "pose_source: expected string (tf, topic, parameter), got 'gps'"),
-        ("variant", "float64", "variant: expected one of packed, packed_scalar"),
+        ("variant", "float64", "variant: expected one of packed, spherical"),
         ("camera_pose", [0.0], "camera_pose: expected double array (7 numbers)"),
         ("light_names", ["a b"], "light_names: expected names"),
         ("light_names", ["a", "a"], "light_names: expected different names"),

@@ -25,7 +25,7 @@ class LinearHierarchy(Accelerator):
         self._context = context
         self._admission = Admission(context)
         self._corners = context.shared.take(Corners, lambda: Corners(context.records))
-        self._wide = forms.wide(context.frame.device) and variant == "linear"
+        self._wide = forms.wide(context.frame.device)
         self._order = RayOrder(context, self._admission, hilbert=False, packed=self._wide)
         self.traits = Traits(recordable=not self._wide)
         self._buffers = RayTreeBuffers(context, self._order, self._admission, self._wide)

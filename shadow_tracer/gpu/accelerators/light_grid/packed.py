@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Variant ``packed``: rays in equal tiles, triangles sorted into them. ``packed_scalar`` is what CUDA does, on any
-device."""
+"""Variant ``packed``: rays in equal tiles, triangles sorted into them."""
 
 from __future__ import annotations
 
@@ -10,21 +9,19 @@ from shadow_tracer.gpu.accelerators.admission import Admission
 from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Traits
 from shadow_tracer.gpu.accelerators.light_grid.blocks import BlockGrid
 from shadow_tracer.gpu.accelerators.light_grid.threads import ThreadGrid
-from shadow_tracer.gpu.accelerators.light_grid.tiles import (
-    TileBuffers,
-)
+from shadow_tracer.gpu.accelerators.light_grid.tiles import TileBuffers
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.samples.passes import Pass
 
 
 class PackedGrid(Accelerator):
-    """The pipeline's variants ``packed`` and ``packed_scalar``; see ``tiles.py``."""
+    """The pipeline's variant ``packed``; see ``tiles.py``."""
 
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
         self._admission = Admission(context)
         self._buffers = TileBuffers(context.frame)
-        wide = forms.wide(context.frame.device) and variant == "packed"
+        wide = forms.wide(context.frame.device)
         self._way: BlockGrid | ThreadGrid = (BlockGrid if wide else ThreadGrid)(context, self._buffers, self._admission)
         self.traits = Traits(lights_at_once=context.frame.bounds.max_lights, recordable=True, keeps_rays=wide)
 
