@@ -38,7 +38,7 @@ _SHOWN = "shadow_tracer/gpu"  # as compilers name it
 # What stands for a header in ``needs``, and the header that plays it unless a snippet names another: what is asked
 # about rays (a struct ``Query``), and how they go through a structure (a struct ``Walk``). Both names end with
 # the number of lanes.
-ROLES = {"query": "visibility/any_hit.h", "walk": "accelerators/brute_force/walk.h"}
+ROLES = {"query": "visibility/any_hit.h", "walk": "accelerators/brute_force/every_triangle.h"}
 
 _constants: dict[str, int | float] = {}
 
