@@ -94,14 +94,13 @@ def count_memberships(
     uppers: wp.array(dtype=wp.vec3),
     needed: wp.array2d(dtype=wp.int64),
 ):
-    """How many there are at each level. One thread per triangle."""
-    i = wp.tid()
-    for level in range(_LEVELS):
-        cells = cells_of(shape_of(box, finest, level), lowers[i], uppers[i])
-        count = wp.int64(1)
-        for k in range(3):
-            count *= wp.int64(cells.last[k] - cells.first[k] + 1)
-        wp.atomic_add(needed, i & (_ROWS - 1), level, count)
+    """How many there are at each level. One thread per level and triangle."""
+    level, i = wp.tid()
+    cells = cells_of(shape_of(box, finest, level), lowers[i], uppers[i])
+    count = wp.int64(1)
+    for k in range(3):
+        count *= wp.int64(cells.last[k] - cells.first[k] + 1)
+    wp.atomic_add(needed, i & (_ROWS - 1), level, count)
 
 
 @wp.kernel(enable_backward=False)
@@ -178,7 +177,7 @@ class UniformGrid(Walker):
         inputs = [grid.box, scene.vertices, scene.triangles, *boxes]
         wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
         inputs = [grid.box, finest, *boxes, self._needed]
-        wp.launch(count_memberships, dim=count, inputs=inputs, device=device)
+        wp.launch(count_memberships, dim=(int(_LEVELS), count), inputs=inputs, device=device)
         capacity = wp.int64(grid.members.shape[0])
         wp.launch(choose_shape, dim=1, inputs=[grid.box, finest, capacity, self._needed, grid.shape], device=device)
         inputs = [grid.shape, *boxes, begins]
