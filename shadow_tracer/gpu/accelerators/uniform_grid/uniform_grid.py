@@ -196,7 +196,7 @@ class UniformGrid(Walker):
 
 def cells_along(half: FloatArray, most: int) -> tuple[int, int, int]:
     """Cells along each axis of a box of this half size: as near to cubes as may be, at most ``most``."""
-    low, high = 0.0, float(half.max())  # a size that makes too many of them, and one that does not
+    low, high = 0.0, 4.0 * float(half.max())  # a size that makes too many of them, and one that does not
     for _ in range(60):
         size = 0.5 * (low + high)
         enough = np.clip(2.0 * half / max(size, 1e-300), 1, _MOST_ALONG).astype(int).prod() > most
