@@ -4,13 +4,10 @@ both of its forms."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from mutants import failing_tests
 
 _ROOT = Path(__file__).resolve().parents[4]
 _GPU = "shadow_tracer/gpu"
@@ -137,30 +134,7 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("mutant", _MUTANTS)
 def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels: Path) -> None:
     tests, some, changes = _MUTANTS[mutant]
-    for folder in ("shadow_tracer", "test"):
-        shutil.copytree(_ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(_ROOT / "pyproject.toml", tmp_path)
-    for name, there, instead in changes:
-        path = tmp_path / _GPU / name
-        code = path.read_text(encoding="utf-8")
-        assert code.count(there) == 1, f"the safeguard has moved from {name}: update this test"
-        path.write_text(code.replace(there, instead), encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"test/gpu/accelerators/light_grid/{tests}"]
-        + ["-k", f"({some}) and not decide"],
-        cwd=tmp_path,
-        env={
-            **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
-            "WARP_CACHE_PATH": str(kernels),
-            "SHADOW_TRACER_TEST_DEVICES": "cpu",
-        },
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    failed = [line for line in done.stdout.splitlines() if line.startswith("FAILED")]
-    assert done.returncode == 1 and "AssertionError" in done.stdout, done.stdout + done.stderr
+    failed = failing_tests(changes, f"light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
     if tests != _CANDIDATES:  # which only the wide form has
         assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"

@@ -14,6 +14,8 @@ import pytest
 from shadow_tracer import Bounds, DirectionalLight, PointLight, ShadowTracer
 from shadow_tracer.gpu.accelerators.uniform_grid.uniform_grid import cells_along
 
+pytestmark = probe.in_both_forms
+
 _BOUNDS = {"max_triangles": 5000, "max_rays": 20_000, "max_lights": 2}
 
 
@@ -81,11 +83,14 @@ def test_a_short_list_makes_larger_cells(any_device: str, room: int) -> None:
     assert 100 < expected.sum() < 1900
 
 
-def _lattice(tracer: ShadowTracer, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A scene of ``number`` small triangles in a box of fixed corners: its cells, and those corners' mesh."""
+def _lattice(
+    tracer: ShadowTracer, number: int, half: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A scene of ``number`` small triangles in a box of this half size, which other triangles keep: the corners of
+    these, some corners of inner cells, and the cells' size."""
     rng = np.random.default_rng(3)
-    box = np.array([(-1, -1, -1), (-1, -0.99, -1), (-0.99, -1, -1), (1, 1, 1), (1, 0.99, 1), (0.99, 1, 1)], float)
-    vertices = np.concatenate([box, rng.uniform(-0.9, 0.9, (3 * number, 3))])
+    box = np.array([(-1, -1, -1), (-1, -0.99, -1), (-0.99, -1, -1), (1, 1, 1), (1, 0.99, 1), (0.99, 1, 1)]) * half
+    vertices = np.concatenate([box, rng.uniform(-0.9, 0.9, (3 * number, 3)) * half])
     tracer.scene.put("mesh", vertices, np.arange(len(vertices)).reshape(-1, 3))
     tracer.occluded(np.zeros((1, 3)), PointLight("lamp", (0, 0, 9)))
     count, low, size = _shape(tracer)
@@ -94,12 +99,14 @@ def _lattice(tracer: ShadowTracer, number: int) -> tuple[np.ndarray, np.ndarray,
 
 
 @pytest.mark.parametrize("spread", [1e-8, 1e-7, 1e-6, 0.0])
-@pytest.mark.parametrize("kind", ["point", "directional", "along an axis"])
+@pytest.mark.parametrize("kind", ["point", "directional", "along an axis", "through many cells"])
 def test_tiny_triangles_at_the_corners_of_cells(any_device: str, kind: str, spread: float) -> None:
     """Rays that cut a corner of a cell by less than a rounding, and triangles that lie in that corner alone, or across
     it: each ray is aimed at its triangle's middle, and none is missed."""
     tracer, rng, number = _tracer(any_device), np.random.default_rng(4), 1500
-    box, corners, size = _lattice(tracer, number)
+    long = kind == "through many cells"
+    box, corners, size = _lattice(tracer, number, (1.0, 0.05, 0.05) if long else (1.0, 1.0, 1.0))
+    assert not long or _shape(tracer)[0][0] > 100
     reach = np.maximum(spread, 1e-9)
     offset = spread * rng.uniform(-1, 1, (number, 3))
     small = corners[:, None] + offset[:, None] + reach * rng.uniform(-1, 1, (number, 3, 3))
@@ -110,7 +117,8 @@ def test_tiny_triangles_at_the_corners_of_cells(any_device: str, kind: str, spre
         light: Any = PointLight("lamp", (0.013, -0.027, 3.1))
         away = middle - light.position
     else:
-        way = (0.0, 0.0, -1.0) if kind == "along an axis" else (0.31, -0.17, -0.9)
+        ways = {"along an axis": (0.0, 0.0, -1.0), "through many cells": (-1.0, 0.013, 0.021)}
+        way = ways.get(kind, (0.31, -0.17, -0.9))
         light = DirectionalLight("sun", way)
         away = np.broadcast_to(np.array(way), middle.shape)
     points = middle + away / np.linalg.norm(away, axis=1, keepdims=True) * rng.uniform(0.3, 3.0, (number, 1))
