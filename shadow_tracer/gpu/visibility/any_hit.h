@@ -12,11 +12,12 @@ struct WIDE(AnyHit) {
     int ray[LANES]; // their numbers
     int taken;      // how many there are
     int asking;     // the lanes that are not known to be in shadow, as bits
+    int askers;     // their number
     int hider;      // the triangle that hid one last, -1 if none has
     wp::int64 tests, nodes;
 
     inline WIDE(AnyHit)(const wp::array_t<wp::vec4>& rays, const Occluders& occluders, const Answers& answers)
-        : rays(rays), occluders(occluders), answers(answers), taken(0), asking(0), hider(-1), tests(0), nodes(0) {}
+        : rays(rays), occluders(occluders), answers(answers), taken(0), asking(0), askers(0), hider(-1), tests(0), nodes(0) {}
     // Takes a ray, unless there is nothing to find out about it.
     inline void take(int number) {
         if (answers.states.data[number] != LIT || rays.data[number][0] != rays.data[number][0])
@@ -44,15 +45,12 @@ struct WIDE(AnyHit) {
 #endif
         magnitude = Lanes::absolute(u) + Lanes::absolute(v) + Lanes::absolute(z) + (float)MAGNITUDE_FLOOR;
         asking = Lanes::ALL >> (LANES - taken);
+        askers = taken;
         hider = -1;
     }
     // Shows a triangle; true if no ray needs to be shown anything more.
     inline bool visit(int triangle) {
-#if LANES == 1
-        ++tests;
-#else
-        tests += __builtin_popcount(asking);
-#endif
+        tests += askers;
         int yes = 0;
         const float* record = (const float*)occluders.records.data + 16 * (size_t)triangle;
         const int found = asking & WIDE(Filter)::possible(record, u, v, w, z, magnitude, yes);
@@ -74,6 +72,7 @@ struct WIDE(AnyHit) {
             else if (!Settle::pair(answers, ray[lane], triangle))
                 continue;
             asking &= ~(1 << lane);
+            --askers;
             hider = triangle;
         }
         return !asking;
