@@ -21,6 +21,7 @@ sys.path.insert(0, str(ROOT))
 import warp as wp  # noqa: E402
 
 from shadow_tracer.gpu.device import native  # noqa: E402
+from shadow_tracer.gpu.visibility import queries  # noqa: E402
 
 _CHECKS = (
     "-*",
@@ -85,8 +86,11 @@ def _unit(header: str, lanes: int, structs: dict[str, dict[str, Any]]) -> str:
         if kind in _ARRAYS:
             text += _ARRAYS[kind]
             continue
-        rooms = structs[kind]
-        struct = rooms.get(str(Path(header).parent), next(iter(rooms.values())))
+        if kind == "Asked":
+            struct = next((query.asked for query in queries.ALL if query.header == header), queries.ANY_HIT.asked)
+        else:
+            rooms = structs[kind]
+            struct = rooms.get(str(Path(header).parent), next(iter(rooms.values())))
         own = wp._src.codegen.Var.type_to_ctype(struct)
         if own in declared:
             declared[kind] = f"typedef {own} {kind};\n"

@@ -61,8 +61,8 @@ EXCEPTIONS = {
     "accelerators.spherical_grid.cells/cover_tiles": Budget(80, 48, reason=_ANGLES),
     "accelerators.spherical_grid.rays/place_tiles": Budget(64, 48, reason=_ANGLES),
     # Rays through a structure over triangles.
-    "accelerators.bvh.mesh_bvh/walk_binary_tree_1": Budget(66, 288, reason="a stack of 64 nodes"),
-    "accelerators.uniform_grid.uniform_grid/walk_cells_1": Budget(
+    "accelerators.bvh.mesh_bvh.any_hit/walk_binary_tree_any_hit_1": Budget(66, 288, reason="a stack of 64 nodes"),
+    "accelerators.uniform_grid.uniform_grid.any_hit/walk_cells_any_hit_1": Budget(
         66, 176, reason="sixteen mailboxes, and a step along any axis"
     ),
     # Float64 per pixel.

@@ -61,10 +61,19 @@ class Kernel:
 
 
 def modules() -> list[str]:
-    """Names below shadow_tracer.gpu of the modules that have kernels."""
-    kernels = re.compile(r"^@wp\.kernel| = Walk\(", re.M)
-    files = [path for path in sorted(_GPU.rglob("*.py")) if kernels.search(path.read_text())]
-    return [".".join(path.relative_to(_GPU).with_suffix("").parts) for path in files]
+    """Names below shadow_tracer.gpu of the modules of Warp that have kernels: those of files, and where rays walk
+    through a structure one for each question."""
+    found = []
+    for path in sorted(_GPU.rglob("*.py")):
+        name, text = ".".join(path.relative_to(_GPU).with_suffix("").parts), path.read_text()
+        if re.search(r"^@wp\.kernel", text, re.M):
+            found.append(name)
+        if re.search(r" = Walk\(", text):
+            values = vars(import_module(f"shadow_tracer.gpu.{name}")).values()
+            walks = {id(walk): walk for value in values for walk in (value, getattr(value, "walk", None))}
+            names = [module for walk in walks.values() for module in getattr(walk, "modules", [])]
+            found += dict.fromkeys(module.removeprefix("shadow_tracer.gpu.") for module in names)
+    return found
 
 
 def compile_module(name: str, folder: Path) -> Path:
@@ -78,7 +87,11 @@ def compile_module(name: str, folder: Path) -> Path:
     wp.init()
     if not wp.get_cuda_supported_archs():
         raise NoCompiler("this build of Warp has no CUDA compiler")
-    module = import_module(f"shadow_tracer.gpu.{name}")
+    try:
+        module = import_module(f"shadow_tracer.gpu.{name}")
+    except ModuleNotFoundError:  # of a walk
+        import_module(f"shadow_tracer.gpu.{name.rpartition('.')[0]}")
+        module = wp.get_module(f"shadow_tracer.gpu.{name}")
     wp.compile_aot_module(module, arch=_ARCHITECTURE, module_dir=str(folder), use_ptx=False)
     (code,) = folder.glob("*.cubin")
     return code

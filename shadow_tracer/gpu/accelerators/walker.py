@@ -8,6 +8,7 @@ asked stands in the query's header (``visibility/any_hit.h``), which rays ask in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import PurePath
 from typing import Any
 
@@ -15,63 +16,72 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 from shadow_tracer.gpu.device import forms, native
-from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.occluders.world import Revision
 from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.visibility.answers import Answers
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, AnyHit, Query
 
 _BLOCK = 256  # rays of a task in the wide form
 
 
-def _kernel(header: str, structure: Any, lanes: int, block: int) -> tuple[Any, wp.Function]:
+def _kernel(header: str, structure: Any, query: Query, lanes: int, block: int) -> tuple[Any, wp.Function]:
     """A kernel whose threads send ``block`` rays each, and the native function that it calls."""
-    name, module = f"{PurePath(header).stem}_{block}", structure.cls.__module__
-    arguments = {"structure": structure, "rays": wp.array(dtype=wp.vec4), "occluders": Occluders, "answers": Answers}
+    name, module = f"{PurePath(header).stem}_{query.name}_{block}", structure.cls.__module__
+    arguments = {"structure": structure, "asked": query.asked}
 
-    def some(first, last, row, structure, rays, occluders, answers):  # type: ignore[no-untyped-def]
+    def some(first, last, row, structure, asked):  # type: ignore[no-untyped-def]
         ...
 
     some.__annotations__ = {"first": int, "last": int, "row": int, **arguments}
     some.__name__, some.__qualname__, some.__module__ = f"some_{name}", f"some_{name}", module
-    call = f"Walker{lanes}::some(first, last, row, structure, rays, occluders, answers);"
-    roles = {**native.ROLES, "walk": header}
+    call = f"Walker{lanes}::some(first, last, row, structure, asked);"
+    roles = {"query": query.header, "walk": header}
     snippet = native.snippet(f"accelerators/walker.h@{lanes}", call=call, roles=roles, cpu=block > 1)
     send = wp.func_native(snippet)(some)
     size = wp.constant(block)
 
-    def walk(count, structure, rays, occluders, answers):  # type: ignore[no-untyped-def]
+    def walk(count, structure, asked):  # type: ignore[no-untyped-def]
         first = wp.tid() * size
-        send(first, wp.min(first + size, count), wp.tid(), structure, rays, occluders, answers)
+        send(first, wp.min(first + size, count), wp.tid(), structure, asked)
 
     walk.__annotations__ = {"count": int, **arguments}
     walk.__name__, walk.__qualname__, walk.__module__ = f"walk_{name}", f"walk_{name}", module
-    return wp.kernel(walk, enable_backward=False), send
+    # A module for each query: what is never asked is never compiled.
+    return wp.kernel(walk, enable_backward=False, module=f"{module}.{query.name}"), send
 
 
 class Walk:
     """Kernels that send rays through a structure, in both forms; to be made when the structure's module is imported.
+    They are compiled when they are first launched.
 
     Args:
         header: the walk.
         structure: the type of what it goes through, a struct of Warp.
-        lanes: how many rays go together in the wide form.
+        lanes: how many rays go together in the wide form, for queries that take so many.
+        queries: what may be asked.
 
     Attributes:
-        functions: the native functions that the kernels call.
+        modules: names of the modules of Warp that the kernels are in.
+        functions: the native functions that they call.
     """
 
-    def __init__(self, header: str, structure: Any, lanes: int = 1) -> None:
-        self._wide, function = _kernel(header, structure, lanes, _BLOCK)
-        self._thread, self.functions = None, [function]
-        if not native.read(header).cpu:
-            self._thread, function = _kernel(header, structure, 1, 1)
-            self.functions.append(function)
+    def __init__(self, header: str, structure: Any, lanes: int = 1, queries: Sequence[Query] = (ANY_HIT,)) -> None:
+        self.modules = [f"{structure.cls.__module__}.{query.name}" for query in queries]
+        self.functions: list[wp.Function] = []
+        self._kernels: dict[tuple[str, bool], Any] = {}
+        for query in queries:
+            forms_of = [(True, lanes if native.read(query.header).lanes else 1, _BLOCK)]
+            forms_of += [] if native.read(header).cpu else [(False, 1, 1)]
+            for wide, together, block in forms_of:
+                kernel, function = _kernel(header, structure, query, together, block)
+                self._kernels[query.name, wide] = kernel
+                self.functions.append(function)
 
-    def launch(self, count: int, inputs: list[Any], device: Any) -> None:
-        """Send ``count`` rays through; ``inputs`` are structure, rays, occluders and answers."""
+    def launch(self, query: Query, count: int, structure: Any, asked: Any, device: Any) -> None:
+        """Send ``count`` rays through a structure."""
         wide = forms.wide(device)
-        kernel, block = (self._wide, _BLOCK) if wide else (self._thread, 1)
-        wp.launch(kernel, dim=-(-count // block), inputs=[count, *inputs], device=device)
+        block = _BLOCK if wide else 1
+        inputs = [count, structure, asked]
+        wp.launch(self._kernels[query.name, wide], dim=-(-count // block), inputs=inputs, device=device)
 
 
 class Walker(Accelerator):
@@ -111,7 +121,7 @@ class Walker(Accelerator):
 
     def show(self, work: Pass) -> None:
         """Send the rays of the light through the structure."""
-        context, frame = self._context, self._context.frame
-        inputs = [self.structure, frame.rays, context.occluders(work), context.answers(work)]
+        context, frame, asked = self._context, self._context.frame, AnyHit()
+        asked.rays, asked.occluders, asked.answers = frame.rays, context.occluders(work), context.answers(work)
         with context.stages.stage("trace"):
-            self.walk.launch(frame.count, inputs, frame.device)
+            self.walk.launch(ANY_HIT, frame.count, self.structure, asked, frame.device)

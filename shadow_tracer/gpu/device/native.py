@@ -10,7 +10,8 @@ A header begins with a comment. Its first lines say what it takes, each as a com
     // needs: exact/arithmetic.h device/lanes.h@16   other headers, each pasted once, before it; a role (ROLES) is
                                                      played by the header that a snippet names for it
     // constants: SHADOWED LEAF_TESTS                values that Python has given by ``constants``
-    // arguments: Tiles tiles, Occluders occluders   names for the types of the native function's arguments
+    // arguments: Tiles tiles, Occluders occluders   names for the types of the native function's arguments, or of what
+                                                     they hold
     // cpu                                           not for CUDA; nor is any text for more than one lane
     // lanes                                         written for any number of lanes
 
@@ -156,8 +157,9 @@ def snippet(*names: str, call: str, otherwise: str = "", roles: Mapping[str, str
         cpu: leave the body out for CUDA, whatever the headers say.
     """
     headers = closure(names, roles=roles)
-    arguments = dict.fromkeys(pair for header in headers.values() for pair in header.arguments)
-    types = "".join(f"typedef decltype({argument}) {kind};\n" for kind, argument in arguments)
+    # Of several that name a type, the one that needs the others knows where it is.
+    arguments = dict(pair for header in headers.values() for pair in header.arguments)
+    types = "".join(f"typedef decltype({argument}) {kind};\n" for kind, argument in arguments.items())
     where = _line(f"{_SHOWN}/{names[-1].partition('@')[0]}: call")
     body = "\n".join([types + paste(headers).rstrip(), where, call, _line("the kernel that Warp made"), ""])
     if not (cpu or any(header.cpu or lanes > 1 for (_, lanes), header in headers.items())):

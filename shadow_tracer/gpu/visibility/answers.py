@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.device import counters, native  # noqa: F401 (the header names columns of counters)
 from shadow_tracer.gpu.exact.decision import YES
 from shadow_tracer.gpu.exact.light_frame import SHADOWED, LightFrame
 

@@ -1,5 +1,5 @@
 // needs: exact/filter.h visibility/answers.h
-// arguments: Occluders occluders, Answers answers
+// arguments: Asked asked, Occluders asked.occluders, Answers asked.answers
 // constants: LIT SHADOWED MAGNITUDE_FLOOR LEAF_TESTS NODES_VISITED COUNTER_ROWS
 // lanes
 // The query *any hit*: whether something hides LANES rays of one light. Whoever walks shows it triangles.
@@ -16,8 +16,9 @@ struct WIDE(AnyHit) {
     int hider;      // the triangle that hid one last, -1 if none has
     wp::int64 tests, nodes;
 
-    inline WIDE(AnyHit)(const wp::array_t<wp::vec4>& rays, const Occluders& occluders, const Answers& answers)
-        : rays(rays), occluders(occluders), answers(answers), taken(0), asking(0), askers(0), hider(-1), tests(0), nodes(0) {}
+    inline explicit WIDE(AnyHit)(const Asked& asked)
+        : rays(asked.rays), occluders(asked.occluders), answers(asked.answers), taken(0), asking(0), askers(0),
+          hider(-1), tests(0), nodes(0) {}
     // Takes a ray, unless there is nothing to find out about it.
     inline void take(int number) {
         if (answers.states.data[number] != LIT || rays.data[number][0] != rays.data[number][0])
