@@ -8,6 +8,10 @@ start and direction then displace a point of the ray by at most 5 u E per axis. 
 walk. Direction components below 1e-20 are replaced by 1e-20, so 1/0 and 0 * infinity cannot occur; that displaces a
 point by less than 1e-19 E. Clipping rounds by 2^-50 of the sample's distance from O; a sample farther away than 2^26 E,
 where that would eat the padding, is shown every triangle instead.
+
+A query may be about a bundle of rays from a sample to a sphere of radius R around the light (``query.spread()``). A
+point of such a ray is within R of the point of the middle ray with the same share of the way, so the boxes are met
+within R, taken 1e-5 larger, which is more than what its own roundings may be.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ from shadow_tracer.gpu.engine.balance import Balance
 from shadow_tracer.gpu.engine.cuts import LEAST, even_cuts
 from shadow_tracer.gpu.engine.gather import Traced, gather_counters, gather_stages, gather_states
 from shadow_tracer.gpu.engine.share import Share
+from shadow_tracer.gpu.engine.spheres import trace_spheres
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
@@ -274,15 +275,11 @@ class FrameTracer:
             share.follow()
         if not sphere_points.is_soft(lights):
             return self._trace_lights(working, lights, source)
-        count = sum(share.frame.count for share in working)
-        tally = sphere_points.Tally(lights, count, self.bounds.max_lights)
-        counters: dict[str, int] = {}
-        for first, batch in tally.batches():
-            traced = self._trace_lights(working, batch, source if first == 0 else None)
-            tally.add(first, traced.states)
-            counters = sphere_points.add_up(counters, traced.counters)
-        states, reached = tally.result()
-        return Traced(states, traced.stages, counters, reached)
+
+        def trace(batch: Sequence[HardLight], first: bool) -> Traced:
+            return self._trace_lights(working, batch, source if first else None)
+
+        return trace_spheres(working, lights, self.bounds.max_lights, trace, self.stages)
 
     def _trace_lights(self, working: list[Share], lights: Sequence[HardLight], source: Source | None) -> Traced:
         """``source``: what samples are to be made of, None if there are some."""

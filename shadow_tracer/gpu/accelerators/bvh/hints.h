@@ -6,7 +6,7 @@ struct Hints {
     static inline bool enough(const Structure& structure, Query1& query) {
         const int ray = query.ray[0], hint = structure.hints.data[ray > 0 ? ray - 1 : 0];
         structure.hints.data[ray] = hint;
-        return hint < query.occluders.count && query.visit(hint);
+        return hint < query.triangle_count() && query.visit(hint);
     }
     static inline void leave(const Structure& structure, const Query1& query) {
         if (query.hider >= 0)

@@ -16,10 +16,11 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.bvh.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Traits
 from shadow_tracer.gpu.accelerators.segment import SceneBox, scene_box, triangle_boxes
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK
 
 # A refitted tree whose rays test this many times the triangles they tested after the last build is built again.
 _WORN_OUT = 2.0
@@ -36,12 +37,14 @@ class Structure:
     box: SceneBox
 
 
-_WIDE = Walk("accelerators/bvh/wide_tree.h", Structure)
-_BINARY = Walk("accelerators/bvh/binary_tree.h", Structure)
+_WIDE = Walk("accelerators/bvh/wide_tree.h", Structure, queries=(ANY_HIT, MASK))
+_BINARY = Walk("accelerators/bvh/binary_tree.h", Structure, queries=(ANY_HIT, MASK))
 
 
 class MeshBvh(Walker):
     """The ``mesh_bvh`` pipeline."""
+
+    traits = Traits(masks=True)
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
