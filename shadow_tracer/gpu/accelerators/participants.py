@@ -140,6 +140,7 @@ def admit_pending(
 
 @wp.kernel(enable_backward=False)
 def test_alone(
+    records_apart: int,
     triangle_count: int,
     rays: wp.array(dtype=wp.vec4),
     records: wp.array2d(dtype=wp.vec4),
@@ -155,7 +156,7 @@ def test_alone(
     if alone[1] == i:
         queued = alone[2]
     ray = rays[i]
-    first = i // answers.samples * triangle_count
+    first = i // answers.samples * records_apart
     found = test_everything(
         i, ray, ray_magnitude(ray), queued, first, triangle_count, records, answers.queue, answers.queue_count
     )
@@ -168,6 +169,7 @@ def test_alone(
 @wp.kernel(enable_backward=False)
 def test_wild(
     stride: int,
+    records_apart: int,
     triangle_count: int,
     rays: wp.array(dtype=wp.vec4),
     records: wp.array2d(dtype=wp.vec4),
@@ -182,7 +184,7 @@ def test_wild(
         i = wild[k]
         ray = rays[i]
         magnitude = ray_magnitude(ray)
-        first = i // answers.samples * triangle_count
+        first = i // answers.samples * records_apart
         t = thread
         while t < triangle_count and answers.states[i] != wp.uint8(SHADOWED):
             answer = filter_pair(ray, magnitude, records, first + t)
@@ -273,14 +275,22 @@ class Participants:
 
         def prepare() -> tuple[int, list[Any]]:
             records = self._context.records.of(work.first, lights)
-            inputs = [threads, scene.triangle_count, frame.rays, records, self._wild, self.counts]
+            inputs = [
+                threads,
+                self._context.records.stride,
+                scene.triangle_count,
+                frame.rays,
+                records,
+                self._wild,
+                self.counts,
+            ]
             return threads, [*inputs, self.answers(work)]
 
-        place = self._context.records.place(work.first)
-        self._launch(test_wild, (work.first, lights, frame.count, place, scene.triangle_count), prepare)
+        place, apart = self._context.records.place(work.first), self._context.records.stride
+        self._launch(test_wild, (work.first, lights, frame.count, place, apart, scene.triangle_count), prepare)
         if work.attempt > 0:
             records = self._context.records.of(work.first, lights)
-            inputs = [scene.triangle_count, frame.rays, records, self.answers(work), self._alone]
+            inputs = [apart, scene.triangle_count, frame.rays, records, self.answers(work), self._alone]
             wp.launch(test_alone, dim=1, inputs=inputs, device=frame.device)
 
     def nbytes(self) -> int:

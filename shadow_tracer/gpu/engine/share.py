@@ -18,7 +18,7 @@ from shadow_tracer.gpu.accelerators.interface import Context, Pipeline
 from shadow_tracer.gpu.accelerators.registry import make_pipeline
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.stages import Stages
-from shadow_tracer.gpu.occluders.world import Revision
+from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples import normals, pixels, rays
 from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays

@@ -30,7 +30,7 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.exact.decision import YES, filter_pair, is_ray, ray_magnitude
 from shadow_tracer.gpu.exact.light_frame import LIT, PENDING, SHADOWED, towards_light
-from shadow_tracer.gpu.occluders.world import Revision
+from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.queue import enqueue, test_everything
 

@@ -39,6 +39,7 @@ from shadow_tracer.gpu.device.slices import Slices
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES, space_of
+from shadow_tracer.gpu.exact.records import BLOCK
 from shadow_tracer.gpu.occluders.clusters import CLUSTER
 from shadow_tracer.gpu.occluders.corners import Corners
 from shadow_tracer.gpu.samples.passes import Pass
@@ -210,6 +211,7 @@ def _occluders(context: Context, work: Pass) -> Occluders:
     occluders.count = context.scene.triangle_count
     occluders.triangles = context.scene.triangles
     occluders.records = context.records.of(work.first, len(work.lights))
+    occluders.records_apart = context.records.stride
     return occluders
 
 
@@ -282,7 +284,8 @@ class _Wide:
         frame = self._context.frame
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [frame.lights_from(work.first), self._clusters, self._ends, self._candidates.corners(work)]
+            apart = BLOCK * self._context.records.blocks
+            inputs = [frame.lights_from(work.first), self._clusters, self._ends, apart, self._candidates.corners(work)]
             inputs += [self._buffers.tiles, self.occluders(work), self._entries, self._participants.answers(work)]
             return 1, inputs
 
@@ -295,8 +298,9 @@ class _Wide:
     def _key(self, work: Pass) -> tuple[Hashable, ...]:
         """All that the inputs of a pass depend on."""
         context, lights = self._context, len(work.lights)
-        place, culled = context.records.place(work.first), context.records.front_face_culling
-        return work.first, lights, context.frame.count, context.scene.triangle_count, place, culled
+        place, apart = context.records.place(work.first), context.records.stride
+        culled = context.records.front_face_culling
+        return work.first, lights, context.frame.count, context.scene.triangle_count, place, apart, culled
 
     def nbytes(self) -> int:
         entries = self._entries
@@ -339,8 +343,7 @@ class _Scalar:
         pass
 
     def prepare(self, light: LightFrame) -> None:
-        if self._context.records.prepare(light):
-            self._corners.make(light)
+        self._corners.make(light, self._context.records.prepare(light))
 
     def choose(self, work: Pass) -> None:
         """All triangles may concern some ray."""
@@ -354,6 +357,7 @@ class _Scalar:
         """The triangles of a pass."""
         occluders = _occluders(self._context, work)
         occluders.corners = self._corners.of(work.first, len(work.lights))
+        occluders.corners_apart = self._corners.stride
         return occluders
 
     def trace(self, work: Pass) -> None:
@@ -364,7 +368,7 @@ class _Scalar:
         units = triangles + items
         blocks = -(-tiles.lights * tiles.samples // 512) + FACES * tiles.lights
         places = 16 * blocks
-        lights, vertices = frame.lights_from(work.first), self._context.scene.vertex_count
+        lights = frame.lights_from(work.first)
 
         def launch(kernel: Any, dim: int, *inputs: Any) -> None:
             wp.launch(kernel, dim=dim, inputs=inputs, device=device)
@@ -372,11 +376,11 @@ class _Scalar:
         def bin(emit: int) -> None:
             window = wp.int64(work.part * bins.capacity)
             for kernel, dim in ((binning.bin_triangles, triangles), (binning.bin_items, items)):
-                launch(kernel, dim, lights, vertices, emit, window, tiles, occluders, bins, answers)
+                launch(kernel, dim, lights, emit, window, tiles, occluders, bins, answers)
 
         if work.part == 0:
             bins.item_count.zero_()
-            launch(binning.itemise_triangles, triangles, lights, vertices, tiles, occluders, bins, answers)
+            launch(binning.itemise_triangles, triangles, lights, tiles, occluders, bins, answers)
             bin(0)
             offsets = self._slices(bins.offsets, 0, units)
             wp.utils.array_scan(offsets, offsets, inclusive=True)

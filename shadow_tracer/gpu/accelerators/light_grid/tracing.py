@@ -105,7 +105,7 @@ def trace_chunks(warps: int, tile_places: int, tiles: Tiles, occluders: Occluder
                 answer = filter_pair(ray, magnitude, occluders.records, record)
                 tests += 1
                 if answer != NO:
-                    settle(sample, record % occluders.count, answer, answers)
+                    settle(sample, record % occluders.records_apart, answer, answers)
                 k += 1
                 if answer == YES:
                     k = end
