@@ -192,6 +192,20 @@ def remade(tracer: ShadowTracer, trace: Callable[[], object]) -> dict[str, set[i
     return found
 
 
+def tree_builds(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Grows whenever the tree of ``mesh_bvh`` is made for another scene: whether it has been built or refitted."""
+    inside: Any = tracer._engine.inside
+    pipeline, builds = inside._pipeline, list[bool]()
+    make_tree = pipeline._make_tree
+
+    def counted(rebuild: bool) -> None:
+        builds.append(rebuild)
+        make_tree(rebuild)
+
+    monkeypatch.setattr(pipeline, "_make_tree", counted)
+    return builds
+
+
 def loaded(tracer: ShadowTracer) -> set[Any]:
     """What has been launched on the tracer's device by anybody."""
     return tracer._engine._seat.loaded

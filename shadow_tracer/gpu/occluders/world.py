@@ -211,6 +211,11 @@ class SceneBuffers:
         for first, last in Room(0, len(self.triangles), taken).within(left, self.triangle_count) if left else ():
             self.triangles[first:last].fill_(wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX))
 
+    @property
+    def parts(self) -> int:
+        """Number of meshes."""
+        return len(self._parts)
+
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         return int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)

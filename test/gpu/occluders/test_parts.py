@@ -195,3 +195,35 @@ def test_gaps_of_many_parts_are_filled_or_closed(make: Make) -> None:
     world.copied()
     now = probe.layout(world.tracer)
     assert now.live == now.looked_at == 600, "gaps of more than half of what there is are closed"
+
+
+@pytest.mark.parametrize("variant", ["refit", "binary"])
+def test_a_tree_is_refitted_for_markers(variant: str, any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is built for the terrain, once more when there is a first marker, and when much has been replaced."""
+    world, rng = _World(f"mesh_bvh/{variant}", any_device, monkeypatch), np.random.default_rng(8)
+    builds = probe.tree_builds(world.tracer, monkeypatch)
+    world.scene.put("terrain", *_terrain())
+    world.copied()
+    world.scene.put("marker 0", *_marker(20))
+    world.copied()
+    assert builds == [True, True]
+    for step in range(30):
+        name = f"marker {rng.integers(3)}"
+        if name in world.scene and rng.random() < 0.4:
+            world.scene.remove(name)
+        else:
+            world.scene.put(name, *_marker(int(rng.integers(1, 25)), float(rng.uniform(-1.0, 1.0))))
+        if step % 7 == 0:
+            world.scene.move("terrain", geometry.pose_of(np.eye(3), (0.0, 0.0, float(rng.uniform(-0.2, 0.1)))))
+        world.copied()
+    assert sum(builds[2:]) <= 5 < len(builds) - 7, builds
+    builds.clear()
+    for name in [name for name in world.scene.names if name != "terrain"]:
+        world.scene.remove(name)
+    world.copied()
+    world.scene.put("terrain", *_terrain(2))
+    world.scene.deform("terrain", _terrain(3)[0])
+    world.copied()
+    world.scene.put("terrain", _terrain()[0], _terrain()[1][::-1])
+    world.copied()
+    assert builds == [False, False, True]

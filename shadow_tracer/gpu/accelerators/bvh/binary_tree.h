@@ -16,10 +16,10 @@ struct BinaryTree {
     static inline bool met(float distance) { return distance < 1.0e38f; }
     static inline Search::Found search(wp::uint64 bvh, const wp::vec3& origin, const wp::vec3& direction, float longest,
                                        const wp::array_t<wp::vec4>& records, const wp::vec4& ray, float magnitude,
-                                       int skip) {
+                                       int count, int skip) {
         const wp::vec3 inverse(1.0f / direction[0], 1.0f / direction[1], 1.0f / direction[2]);
         const BinaryTree it = { wp::bvh_get(bvh), origin, inverse, longest };
-        Search search = { it.tree.primitive_indices, (const float*)records.data, ray, magnitude, skip };
+        Search search = { it.tree.primitive_indices, (const float*)records.data, ray, magnitude, count, skip };
         Search::Found result;
         int stack[DEPTH];
         int top = 0, node = *it.tree.root;

@@ -28,8 +28,9 @@ def search(
     records: wp.array2d(dtype=wp.vec4),
     ray: wp.vec4,
     magnitude: float,
+    count: int,
     skip: int,
 ) -> Candidates:
     """(1 if certain, -1 if the tree is too deep; tests; nodes; uncertain triangles; five of them from ``skip`` on, or
-    the occluder if it is certain)."""
+    the occluder if it is certain). ``count``: triangles; the tree may have boxes beyond them."""
     ...

@@ -13,9 +13,12 @@ together 11 u E, and the padding is 32 u E. Direction components below 1e-20 are
 infinity cannot occur; that displaces a point by less than 1e-19 E. Clipping rounds by 2^-50 of the sample's distance
 from O; a sample farther away than 2^26 E, where that would eat the padding, is shown every triangle instead.
 
-The tree is refitted while only positions change and rebuilt when the topology does. A refitted tree grows worse as
-things move, so it is rebuilt as well once rays test twice as many triangles as they did right after the last build.
-Variant ``rebuild`` rebuilds always; ``binary`` is ``refit`` without the wide form of the tree that the CPU uses.
+The tree is refitted while only positions change. A mesh that comes or goes leaves the triangles of others where they
+are, so the tree is refitted then, too, as long as no more than an eighth of the triangles have been replaced since it
+was built and there are boxes for all: where there are several meshes, a tree has some to spare. Boxes without a
+triangle lie apart from each other outside of the scene, where no ray meets them. A refitted tree grows worse as things
+move, so it is rebuilt as well once rays test twice as many triangles as they did right after the last build. Variant
+``rebuild`` rebuilds always; ``binary`` is ``refit`` without the wide form of the tree that the CPU uses.
 """
 
 from __future__ import annotations
@@ -23,19 +26,27 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.bvh.binary_tree import FOUND, search
+from shadow_tracer.gpu.accelerators.bvh.binary_tree import FOUND, Candidates, search
 from shadow_tracer.gpu.accelerators.bvh.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse, search_wide
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.exact.decision import YES, filter_pair, is_ray, ray_magnitude
 from shadow_tracer.gpu.exact.light_frame import LIT, PENDING, SHADOWED, towards_light
+from shadow_tracer.gpu.exact.records import GAP_VERTEX
 from shadow_tracer.gpu.occluders.changes import Revision
+from shadow_tracer.gpu.occluders.slots import Ranges
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.queue import enqueue, test_everything
 
 # Samples farther from the scene's centre than this many scene sizes do not use the tree.
 _FAR = 2.0**26
+# Boxes to spare: one for so many triangles, and these; and the share of triangles that may be replaced, or boxes that
+# may hold nothing, before the tree is built again.
+_TRIANGLES_PER_SPARE, _SPARES = 64, 32
+_REPLACED = 1 / 8
+# Boxes without a triangle lie here, along y; the scene's reach to 1 and their padding.
+_OUTSIDE = 1.02
 # A refitted tree whose rays test this many times the triangles they tested after the last build is built again.
 _WORN_OUT = 2.0
 
@@ -71,15 +82,25 @@ class Tree:
 
 @wp.kernel(enable_backward=False)
 def triangle_boxes(
+    first: int,
+    count: int,
+    boxes: int,
     box: SceneBox,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
     lowers: wp.array(dtype=wp.vec3),
     uppers: wp.array(dtype=wp.vec3),
 ):
-    """Padded boxes relative to the scene's centre, rounded outwards."""
-    i = wp.tid()
-    corners = triangles[i]
+    """Padded boxes relative to the scene's centre, rounded outwards: those from ``first`` on, of ``boxes`` for
+    ``count`` triangles."""
+    i = first + wp.tid()
+    corners = wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX)
+    if i < count:
+        corners = triangles[i]
+    if corners[0] == GAP_VERTEX:
+        lowers[i] = wp.vec3(_OUTSIDE, 2.0 * float(i) / float(boxes) - 1.0, 0.0)
+        uppers[i] = lowers[i]
+        return
     a = (vertices[corners[0]] - box.center) * box.inverse_extent
     b = (vertices[corners[1]] - box.center) * box.inverse_extent
     c = (vertices[corners[2]] - box.center) * box.inverse_extent
@@ -117,6 +138,26 @@ def away_from_zero(x: wp.float64) -> float:
 
 
 @wp.func
+def look(
+    origin: wp.vec3,
+    direction: wp.vec3,
+    longest: float,
+    count: int,
+    tree: Tree,
+    records: wp.array2d(dtype=wp.vec4),
+    ray: wp.vec4,
+    magnitude: float,
+    skip: int,
+) -> Candidates:
+    """``search`` in the form of the tree that there is."""
+    if tree.wide != 0:
+        return search_wide(
+            tree.bvh, tree.bounds, tree.links, origin, direction, longest, records, ray, magnitude, count, skip
+        )
+    return search(tree.bvh, origin, direction, longest, records, ray, magnitude, count, skip)
+
+
+@wp.func
 def walk_ray(
     sample: int,
     start: wp.vec3d,
@@ -148,12 +189,7 @@ def walk_ray(
         longest = float((span[1] - span[0]) * wp.float64(1.0001) + wp.float64(_PADDING))
         more = bool(True)
         while more:
-            if tree.wide != 0:
-                found = search_wide(
-                    tree.bvh, tree.bounds, tree.links, origin, direction, longest, records, ray, magnitude, queued
-                )
-            else:
-                found = search(tree.bvh, origin, direction, longest, records, ray, magnitude, queued)
+            found = look(origin, direction, longest, triangle_count, tree, records, ray, magnitude, queued)
             tests += found[1]
             nodes += found[2]
             more = False
@@ -248,51 +284,68 @@ class MeshBvh:
         self._tree.links = wp.empty(nodes * LINKS_PER_NODE, dtype=int, device=context.frame.device)
         self._wide_nodes = wp.zeros(1, dtype=int, device=context.frame.device)
         self._made_for: Revision | None = None
-        self._built_count = 0
+        self._built_count = 0  # boxes
+        self._replaced = 0  # triangles since the last build
+        self._held: tuple[np.ndarray, np.ndarray] | None = None  # what the tree's box was made to hold
         self._fresh_tests: float | None = None  # tests per ray of the first frame after a build
         self._worn_out = False
 
     def follow(self) -> None:
         """Refit or build the tree if the scene is not the one that it was made for."""
-        scene, device = self._context.scene, self._context.frame.device
-        made_for = self._made_for
+        scene, made_for = self._context.scene, self._made_for
         if made_for == scene.revision:
             return
-        count = scene.triangle_count
-        if count == 0:
+        if scene.triangle_count == 0:
             self._bvh, self._made_for = None, scene.revision
             return
-        same = made_for is not None and made_for.topology == scene.revision.topology
-        rebuild = self._variant == "rebuild" or not same or self._worn_out
+        changed = scene.changed_since(made_for)
+        if made_for is None or made_for.topology != scene.revision.topology:
+            self._replaced += sum(last - first for first, last in changed.triangles)
+        spare = self._built_count - scene.triangle_count
+        fits = self._bvh is not None and 0 <= spare <= _REPLACED * scene.triangle_count + _SPARES
+        rebuild = self._variant == "rebuild" or self._worn_out or not fits
+        rebuild |= self._replaced > _REPLACED * scene.triangle_count
         with self._context.stages.stage("build"):
-            self._tree.box = _scene_box(*scene.box())
-            wp.launch(
-                triangle_boxes,
-                dim=count,
-                inputs=[self._tree.box, scene.vertices, scene.triangles, self._lowers, self._uppers],
-                device=device,
-            )
-            if self._bvh is None or count != self._built_count:
-                # In place is impossible with another number of boxes; the old tree is freed with its object.
-                self._bvh = wp.Bvh(
-                    self._lowers[:count], self._uppers[:count], constructor=self._constructor, leaf_size=4
-                )
-                self._built_count = count
-                rebuild = True
-            elif rebuild:
-                self._bvh.rebuild()
-            else:
-                self._bvh.refit()
-            self._tree.bvh = self._bvh.id
-            self._tree.wide = 0
-            if self._widens:
-                inputs = [self._bvh.id, self._tree.bounds, self._tree.links, self._wide_nodes]
-                wp.launch(collapse, dim=1, inputs=inputs, device=device)
-                self._tree.wide = int(self._wide_nodes.numpy()[0] > 0)
+            if not fits or (rebuild and scene.parts == 1 and spare > 0):
+                self._bvh = None  # in place is impossible with another number of boxes
+            self._make_boxes(rebuild, changed.triangles)
+            self._make_tree(rebuild)
         if rebuild:
             self._fresh_tests = None
-            self._worn_out = False
+            self._worn_out, self._replaced = False, 0
         self._made_for = scene.revision  # last: a tree that could not be made is made again
+
+    def _make_boxes(self, rebuild: bool, changed: Ranges) -> None:
+        """Boxes of triangles, where they have ``changed``, in units of a box around all."""
+        scene = self._context.scene
+        low, high = scene.box()
+        if self._bvh is None:
+            spare = scene.triangle_count // _TRIANGLES_PER_SPARE + _SPARES if scene.parts > 1 else 0
+            self._built_count = min(scene.triangle_count + spare, len(self._lowers))
+        boxes, many = self._built_count, sum(last - first for first, last in changed) > scene.triangle_count // 2
+        if rebuild or many or self._held is None or not _holds(self._held, low, high):
+            self._tree.box, self._held, changed = _scene_box(low, high), (low, high), ((0, boxes),)
+        for first, last in changed:
+            inputs = [first, scene.triangle_count, boxes, self._tree.box, scene.vertices, scene.triangles]
+            inputs += [self._lowers, self._uppers]
+            if first < boxes:
+                wp.launch(triangle_boxes, dim=min(last, boxes) - first, inputs=inputs, device=scene.device)
+
+    def _make_tree(self, rebuild: bool) -> None:
+        """Build the tree around the boxes, or refit it."""
+        if self._bvh is None:
+            some = self._lowers[: self._built_count], self._uppers[: self._built_count]
+            self._bvh = wp.Bvh(*some, constructor=self._constructor, leaf_size=4)
+        elif rebuild:
+            self._bvh.rebuild()
+        else:
+            self._bvh.refit()
+        self._tree.bvh = self._bvh.id
+        self._tree.wide = 0
+        if self._widens:
+            inputs = [self._bvh.id, self._tree.bounds, self._tree.links, self._wide_nodes]
+            wp.launch(collapse, dim=1, inputs=inputs, device=self._context.frame.device)
+            self._tree.wide = int(self._wide_nodes.numpy()[0] > 0)
 
     def prepare(self, work: Pass) -> None:
         """Records of the light."""
@@ -340,6 +393,12 @@ class MeshBvh:
         """Boxes and trees; Warp does not tell the size of its own, which is two 32-byte nodes per triangle at most."""
         arrays = (self._lowers, self._uppers, self._occluders, self._tree.bounds, self._tree.links)
         return sum(int(array.capacity) for array in arrays) + 64 * self._built_count
+
+
+def _holds(held: tuple[np.ndarray, np.ndarray], low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether a box that holds ``held`` serves: it holds all there is, and is not twice as large."""
+    inside = np.all(held[0] <= low) and np.all(high <= held[1])
+    return bool(inside and (held[1] - held[0]).max() <= 2.0 * (high - low).max())
 
 
 def _scene_box(low: np.ndarray, high: np.ndarray) -> SceneBox:

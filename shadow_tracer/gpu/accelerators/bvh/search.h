@@ -10,13 +10,16 @@ struct Search {
     const float* records;
     const wp::vec4& ray;
     float magnitude;
-    int skip; // uncertain triangles that are known
+    int count; // triangles; boxes of the tree beyond that hold nothing
+    int skip;  // uncertain triangles that are known
     int nodes, tests, found;
 
     // The triangles of a leaf, from one to before another; true if one of them is a certain occluder.
     inline bool leaf(int first, int last, Found& result) {
         for (int k = first; k < last; ++k) {
             const int triangle = primitives[k];
+            if (triangle >= count)
+                continue;
             ++tests;
             int yes = 0;
             if (!Filter1::possible(records + 16 * (size_t)triangle, ray[0], ray[1], ray[2], ray[3], magnitude, yes))

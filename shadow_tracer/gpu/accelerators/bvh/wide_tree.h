@@ -8,10 +8,10 @@ struct WideTree {
     static inline Search::Found search(wp::uint64 bvh, const wp::array_t<float>& bounds, const wp::array_t<int>& links,
                                        const wp::vec3& origin, const wp::vec3& direction, float longest,
                                        const wp::array_t<wp::vec4>& records, const wp::vec4& ray, float magnitude,
-                                       int skip) {
+                                       int count, int skip) {
         const wp::vec3 inverse(1.0f / direction[0], 1.0f / direction[1], 1.0f / direction[2]);
         const int* primitives = wp::bvh_get(bvh).primitive_indices;
-        Search search = { primitives, (const float*)records.data, ray, magnitude, skip };
+        Search search = { primitives, (const float*)records.data, ray, magnitude, count, skip };
         Search::Found result;
         int stack[DEPTH];
         int top = 0, node = 0;

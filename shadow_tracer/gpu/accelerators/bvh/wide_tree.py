@@ -50,6 +50,7 @@ def search_wide(
     records: wp.array2d(dtype=wp.vec4),
     ray: wp.vec4,
     magnitude: float,
+    count: int,
     skip: int,
 ) -> Candidates:
     """As ``binary_tree.search``."""
