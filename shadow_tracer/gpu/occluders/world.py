@@ -185,6 +185,8 @@ class SceneBuffers:
         kept = [
             part if part is not None and part.fits(mesh) else None for part, mesh in zip(parts, meshes, strict=True)
         ]
+        if len(kept) == len(self._parts) and None not in kept:
+            return [(part.first_vertex, part.first_triangle) for part in kept if part is not None]
         slots = [part.slot for part in kept if part is not None]
         vertices = Room(GAP_VERTEX + 1, len(self.vertices), (slot[0] for slot in slots))
         triangles = Room(0, len(self.triangles), (slot[1] for slot in slots))

@@ -76,7 +76,7 @@ def test_a_tree_that_could_not_be_made_is_made_in_the_next_frame(monkeypatch: py
     for each in (tracer, other):
         each.scene.put("ball", *geometry.icosphere(2, 0.4, (0.5, 0.5, 2.0)))
     with monkeypatch.context() as patch:
-        _fail_once(patch, mesh_bvh, "_scene_box")
+        _fail_once(patch, mesh_bvh, "scene_box")
         with pytest.raises(_Out):
             _states(tracer)
     assert np.array_equal(_states(tracer), _states(other))

@@ -27,13 +27,13 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.bvh.binary_tree import FOUND, Candidates, search
+from shadow_tracer.gpu.accelerators.bvh.boxes import PADDING, SceneBox, empty_boxes, holds, scene_box, triangle_boxes
 from shadow_tracer.gpu.accelerators.bvh.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse, search_wide
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import LEAF_TESTS, NODES_VISITED
 from shadow_tracer.gpu.exact.decision import YES, filter_pair, is_ray, ray_magnitude
 from shadow_tracer.gpu.exact.light_frame import LIT, PENDING, SHADOWED, towards_light
-from shadow_tracer.gpu.exact.records import GAP_VERTEX
 from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.occluders.slots import Ranges
 from shadow_tracer.gpu.samples.passes import Pass
@@ -45,28 +45,12 @@ _FAR = 2.0**26
 # may hold nothing, before the tree is built again.
 _TRIANGLES_PER_SPARE, _SPARES = 64, 32
 _REPLACED = 1 / 8
-# Boxes without a triangle lie here, along y; the scene's reach to 1 and their padding.
-_OUTSIDE = 1.02
 # A refitted tree whose rays test this many times the triangles they tested after the last build is built again.
 _WORN_OUT = 2.0
 
 
 # State, pairs queued so far, triangles tested, nodes visited, and the occluder or -1.
 Outcome = wp.types.vector(length=5, dtype=wp.int32)
-
-
-# Padding of boxes in units of the scene's extent.
-_PADDING = 2.0**-19
-
-
-@wp.struct
-class SceneBox:
-    """The box that holds every triangle: its centre [m], one over its largest half size, and its half size in units of
-    that, padded."""
-
-    center: wp.vec3d
-    inverse_extent: wp.float64
-    half: wp.vec3d
 
 
 @wp.struct
@@ -78,42 +62,6 @@ class Tree:
     bounds: wp.array(dtype=float)
     links: wp.array(dtype=int)
     box: SceneBox
-
-
-@wp.kernel(enable_backward=False)
-def triangle_boxes(
-    first: int,
-    count: int,
-    boxes: int,
-    box: SceneBox,
-    vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array(dtype=wp.vec3i),
-    lowers: wp.array(dtype=wp.vec3),
-    uppers: wp.array(dtype=wp.vec3),
-):
-    """Padded boxes relative to the scene's centre, rounded outwards: those from ``first`` on, of ``boxes`` for
-    ``count`` triangles."""
-    i = first + wp.tid()
-    corners = wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX)
-    if i < count:
-        corners = triangles[i]
-    if corners[0] == GAP_VERTEX:
-        lowers[i] = wp.vec3(_OUTSIDE, 2.0 * float(i) / float(boxes) - 1.0, 0.0)
-        uppers[i] = lowers[i]
-        return
-    a = (vertices[corners[0]] - box.center) * box.inverse_extent
-    b = (vertices[corners[1]] - box.center) * box.inverse_extent
-    c = (vertices[corners[2]] - box.center) * box.inverse_extent
-    if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
-        lowers[i] = wp.vec3(0.0, 0.0, 0.0)
-        uppers[i] = wp.vec3(0.0, 0.0, 0.0)
-        return
-    padding = wp.float64(_PADDING)
-    low = wp.min(wp.min(a, b), c)
-    high = wp.max(wp.max(a, b), c)
-    # The padding is 32 ulps of the largest coordinate, rounding to float32 half an ulp: outward by far.
-    lowers[i] = wp.vec3(float(low[0] - padding), float(low[1] - padding), float(low[2] - padding))
-    uppers[i] = wp.vec3(float(high[0] + padding), float(high[1] + padding), float(high[2] + padding))
 
 
 @wp.func
@@ -186,7 +134,7 @@ def walk_ray(
         entry = start + wp.vec3d(way[0], way[1], way[2]) * span[0]
         origin = wp.vec3(float(entry[0]), float(entry[1]), float(entry[2]))
         direction = wp.vec3(away_from_zero(way[0]), away_from_zero(way[1]), away_from_zero(way[2]))
-        longest = float((span[1] - span[0]) * wp.float64(1.0001) + wp.float64(_PADDING))
+        longest = float((span[1] - span[0]) * wp.float64(1.0001) + wp.float64(PADDING))
         more = bool(True)
         while more:
             found = look(origin, direction, longest, triangle_count, tree, records, ray, magnitude, queued)
@@ -322,14 +270,19 @@ class MeshBvh:
         if self._bvh is None:
             spare = scene.triangle_count // _TRIANGLES_PER_SPARE + _SPARES if scene.parts > 1 else 0
             self._built_count = min(scene.triangle_count + spare, len(self._lowers))
-        boxes, many = self._built_count, sum(last - first for first, last in changed) > scene.triangle_count // 2
-        if rebuild or many or self._held is None or not _holds(self._held, low, high):
-            self._tree.box, self._held, changed = _scene_box(low, high), (low, high), ((0, boxes),)
+        count, boxes, arrays = scene.triangle_count, self._built_count, [self._lowers, self._uppers]
+        many = sum(last - first for first, last in changed) > count // 2
+        if rebuild or many or self._held is None or not holds(self._held, low, high):
+            self._tree.box, self._held, changed = scene_box(low, high), (low, high), ((0, boxes),)
         for first, last in changed:
-            inputs = [first, scene.triangle_count, boxes, self._tree.box, scene.vertices, scene.triangles]
-            inputs += [self._lowers, self._uppers]
-            if first < boxes:
-                wp.launch(triangle_boxes, dim=min(last, boxes) - first, inputs=inputs, device=scene.device)
+            if first < count:
+                inputs = [first, boxes, self._tree.box, scene.vertices, scene.triangles, *arrays]
+                wp.launch(triangle_boxes, dim=min(last, count) - first, inputs=inputs, device=scene.device)
+            first = max(first, count)
+            if first < min(last, boxes):
+                wp.launch(
+                    empty_boxes, dim=min(last, boxes) - first, inputs=[first, boxes, *arrays], device=scene.device
+                )
 
     def _make_tree(self, rebuild: bool) -> None:
         """Build the tree around the boxes, or refit it."""
@@ -393,20 +346,3 @@ class MeshBvh:
         """Boxes and trees; Warp does not tell the size of its own, which is two 32-byte nodes per triangle at most."""
         arrays = (self._lowers, self._uppers, self._occluders, self._tree.bounds, self._tree.links)
         return sum(int(array.capacity) for array in arrays) + 64 * self._built_count
-
-
-def _holds(held: tuple[np.ndarray, np.ndarray], low: np.ndarray, high: np.ndarray) -> bool:
-    """Whether a box that holds ``held`` serves: it holds all there is, and is not twice as large."""
-    inside = np.all(held[0] <= low) and np.all(high <= held[1])
-    return bool(inside and (held[1] - held[0]).max() <= 2.0 * (high - low).max())
-
-
-def _scene_box(low: np.ndarray, high: np.ndarray) -> SceneBox:
-    center = 0.5 * low + 0.5 * high
-    half = np.maximum(high - center, center - low)
-    extent = max(float(half.max()), 1e-60)
-    box = SceneBox()
-    box.center = wp.vec3d(*center)
-    box.inverse_extent = 1.0 / extent
-    box.half = wp.vec3d(*(half / extent + 2.0 * _PADDING))
-    return box
