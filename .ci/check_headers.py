@@ -65,21 +65,35 @@ def _structs() -> dict[str, dict[str, Any]]:
     return found
 
 
-def _declaration(name: str, struct: Any) -> str:
+def _declarations(name: str, struct: Any, found: dict[str, str]) -> None:
+    """Add the declaration of a struct by ``name`` to ``found``, behind those of the structs that it holds by the names
+    that Warp gives them."""
     ctype = wp._src.codegen.Var.type_to_ctype
-    return f"struct {name} {{ " + " ".join(f"{ctype(var.type)} {key};" for key, var in struct.vars.items()) + " };\n"
+    for var in struct.vars.values():
+        held = getattr(var.type, "dtype", var.type)
+        if type(held).__name__ == "Struct" and ctype(held) not in found:
+            _declarations(ctype(held), held, found)
+    members = " ".join(f"{ctype(var.type)} {key};" for key, var in struct.vars.items())
+    found[name] = f"struct {name} {{ {members} }};\n"
 
 
 def _unit(header: str, lanes: int, structs: dict[str, dict[str, Any]]) -> str:
     needed = native.closure((f"{header}@{lanes}" if native.read(header).lanes else header,))
     text = (ROOT / ".ci" / "warp_stub.h").read_text()
+    declared: dict[str, str] = {}
     for kind in dict.fromkeys(kind for each in needed.values() for kind, _ in each.arguments):
         if kind in _ARRAYS:
             text += _ARRAYS[kind]
             continue
         rooms = structs[kind]
-        text += _declaration(kind, rooms.get(str(Path(header).parent), next(iter(rooms.values()))))
-    return text + native.paste(needed)
+        struct = rooms.get(str(Path(header).parent), next(iter(rooms.values())))
+        own = wp._src.codegen.Var.type_to_ctype(struct)
+        if own in declared:
+            declared[kind] = f"typedef {own} {kind};\n"
+        else:
+            _declarations(kind, struct, declared)
+            declared[own] = f"typedef {kind} {own};\n"
+    return text + "".join(declared.values()) + native.paste(needed)
 
 
 def _check(header: str, lanes: int, unit: str, folder: Path) -> str:

@@ -36,7 +36,7 @@ _ANGLES = "the paper's variants: sine and cosine of any angle keep 28 B each thr
 EXCEPTIONS = {
     # One thread takes a run of elements there, in arrays that the CPU keeps in its first cache.
     "device.sort/sort_pairs_cpu": Budget(64, 16400, reason=_CPU),
-    "accelerators.participants/admit_blocks": Budget(64, 288, reason=_CPU),
+    "accelerators.admission/admit_blocks": Budget(64, 288, reason=_CPU),
     "accelerators.paper_hierarchy.breadth_first/traverse": Budget(128, 48, reason=_CPU),
     "accelerators.bvh.wide_tree/collapse": Budget(64, 48, reason=_CPU),
     # The signs of determinants, exactly.

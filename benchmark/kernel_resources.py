@@ -62,7 +62,8 @@ class Kernel:
 
 def modules() -> list[str]:
     """Names below shadow_tracer.gpu of the modules that have kernels."""
-    files = [path for path in sorted(_GPU.rglob("*.py")) if "@wp.kernel" in path.read_text()]
+    kernels = re.compile(r"^@wp\.kernel| = Walk\(", re.M)
+    files = [path for path in sorted(_GPU.rglob("*.py")) if kernels.search(path.read_text())]
     return [".".join(path.relative_to(_GPU).with_suffix("").parts) for path in files]
 
 

@@ -17,6 +17,7 @@ from scenes import data_folder
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, State
 from shadow_tracer.apps.demo import workshop
+from shadow_tracer.gpu.device import forms
 
 _WIDTH, _HEIGHT = 640, 480
 
@@ -110,11 +111,12 @@ def draw(picture: Picture, out: Path) -> None:
     """Write ``cone_hierarchy_<name>.png``: the mask, two levels of the tree, and the heat map."""
     camera = picture.camera
     bounds = Bounds(max_triangles=len(picture.triangles), max_rays=picture.depth.size)
-    tracer = ShadowTracer("cone_hierarchy", "linear_scalar", device="cpu", bounds=bounds)
-    tracer.scene.put("scene", picture.vertices, picture.triangles)
-    buffers = tracer._engine.inside._pipeline._buffers  # type: ignore[attr-defined]
-    visits = buffers.count_visits()
-    frame = tracer.trace(picture.depth, camera, [PointLight("lamp", picture.light)], bias=0.02)
+    with forms.cuda_form():
+        tracer = ShadowTracer("cone_hierarchy", "linear", device="cpu", bounds=bounds)
+        tracer.scene.put("scene", picture.vertices, picture.triangles)
+        buffers = tracer._engine.inside._pipeline._buffers  # type: ignore[attr-defined]
+        visits = buffers.count_visits()
+        frame = tracer.trace(picture.depth, camera, [PointLight("lamp", picture.light)], bias=0.02)
     tree, state = buffers.tree, frame.state("lamp")
     place = _positions(buffers, picture.depth.size)
     known = place >= 0

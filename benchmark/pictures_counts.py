@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,7 @@ from shadow_tracer.gpu.accelerators.light_grid.binning import Bins
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
 from shadow_tracer.gpu.accelerators.spherical_grid.rays import Tiles as AngleTiles
 from shadow_tracer.gpu.accelerators.spherical_grid.rays import cell_of
+from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.devices import pick_device
 from shadow_tracer.gpu.exact.decision import YES, filter_pair, ray_magnitude
 
@@ -125,7 +127,13 @@ def _frame(picture: Picture, variant: str, light: procedural.Light, bias: float)
 
 
 def trace(picture: Picture, variant: str) -> Traced:
-    """A frame with tests counted by pixel; ``variant`` is packed_scalar or spherical."""
+    """A frame with tests counted by pixel; ``variant`` is packed or spherical. Only what CUDA does has all entries of
+    packed in its lists at once."""
+    with forms.cuda_form() if variant == "packed" else nullcontext():
+        return _count(picture, variant)
+
+
+def _count(picture: Picture, variant: str) -> Traced:
     count = picture.depth.size
     frame, pipeline = _frame(picture, variant, PointLight("lamp", picture.light), 0.02)
     context = pipeline._context
@@ -163,7 +171,7 @@ class PackedTiles:
 
 
 def packed_tiles(traced: Traced) -> PackedTiles:
-    """The tiles of a frame that ``packed_scalar`` has traced."""
+    """The tiles of a frame that ``packed`` has traced."""
     tiles = traced.pipeline._buffers.tiles
     groups, count = tiles.groups.numpy()[:6], 16 * int(tiles.counts.numpy()[2])
     number = np.arange(count)
@@ -283,9 +291,10 @@ def main() -> None:
     """Print the counts."""
     rows: list[dict[str, Any]] = []
     for name, picture, light, bias in _views():
-        for variant in ("packed", "packed_scalar", "spherical"):
-            counters = _frame(picture, variant, light, bias)[0].counters
-            row: dict[str, Any] = {"view": name, "variant": variant}
+        for variant, as_on_cuda in (("packed", False), ("packed", True), ("spherical", False)):
+            with forms.cuda_form() if as_on_cuda else nullcontext():
+                counters = _frame(picture, variant, light, bias)[0].counters
+            row: dict[str, Any] = {"view": name, "variant": f"{variant}, as on CUDA" if as_on_cuda else variant}
             row |= {key: counters[key] for key in ("triangles", "rays", "entries")}
             row["tests per ray"] = counters["leaf_tests"] / counters["rays"]
             rows.append(row | {key: counters[key] for key in ("largest_tile", "accepted", "splits")})

@@ -297,7 +297,7 @@ def main() -> None:
     options = parser.parse_args()
     for picture in (living_room(), demo_workshop()):
         if picture is not None:
-            packed = trace(picture, "packed_scalar")
+            packed = trace(picture, "packed")
             spherical = trace(picture, "spherical")
             draw_tiles(picture, packed, spherical, options.out)
             draw_tests(picture, packed, spherical, options.out)

@@ -30,13 +30,12 @@ VIEWS = (
 QUICK_VIEWS = ("robots/corridor/inside", "stadium/pot/inside", "Sponza", "livingroom1")
 SECTIONS = ("scenes", "variants", "rays", "triangles", "lights", "maps", "memory")
 
-# Scalar code of the papers, and brute force in forms that are there to be compared with: last, and not in quick runs.
+# Scalar code of the papers, and brute force in float64, there to be compared with: last, and not in quick runs.
 _SLOW = (
     "cone_hierarchy/precise_sea",
     "cone_hierarchy/precise_seatp",
     "cone_hierarchy/precise_sorted",
     "cone_hierarchy/spheres_sorted",
-    "brute_force/scalar",
     "brute_force/float64",
     "cone_hierarchy/precise_eatp",
     "cone_hierarchy/spheres",

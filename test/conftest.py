@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures of the core suite: every test that takes `tracer` runs on every device found and on every pipeline and
-variant there is."""
+variant there is, on some in both forms of kernels."""
 
 from __future__ import annotations
 
@@ -84,28 +84,34 @@ def _devices() -> list[str]:
     return ["cpu", "cuda:0"] if warp.is_cuda_available() else ["cpu"]
 
 
-def _cases(default_variants: bool) -> list[tuple[str, str, str]]:
+# The CPU runs their default variants in the form of a CUDA thread, too.
+_IN_CUDA_FORM = ("light_grid", "cone_hierarchy", "brute_force")
+
+
+def _cases(default_variants: bool) -> list[tuple[tuple[str, str, str], str]]:
+    """(device, pipeline, variant), and the form of its kernels."""
     from shadow_tracer import available_pipelines
 
-    return [
-        (device, name, variant)
-        for device in _devices()
-        for name, variants in available_pipelines().items()
-        for variant in (variants[:1] if default_variants else variants)
-    ]
+    cases = []
+    for device in _devices():
+        for name, variants in available_pipelines().items():
+            cases += [((device, name, each), probe.USUAL) for each in (variants[:1] if default_variants else variants)]
+            if name in _IN_CUDA_FORM and not default_variants and probe.wide(device):
+                cases.append(((device, name, variants[0]), probe.CUDA))
+    return cases
 
 
 class Tracers:
-    """Tracers by (device, pipeline, variant) with the suite's bounds; made on first use, and on every request in the
-    state of a fresh one, whatever tests ran before."""
+    """Tracers by (device, pipeline, variant) with the suite's bounds, of the form that the CPU takes at the moment;
+    made on first use, and on every request in the state of a fresh one, whatever tests ran before."""
 
     def __init__(self) -> None:
-        self._made: dict[tuple[str, str, str], Any] = {}
+        self._made: dict[tuple[str, bool, str, str], Any] = {}
 
     def __call__(self, device: str, pipeline: str, variant: str) -> Any:
         from shadow_tracer import Bounds, ShadowTracer
 
-        key = (device, pipeline, variant)
+        key = (device, probe.wide(device), pipeline, variant)
         if key not in self._made:
             self._made[key] = ShadowTracer(pipeline=pipeline, variant=variant, device=device, bounds=Bounds(**BOUNDS))
         probe.reset(self._made[key])
@@ -143,9 +149,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "tracer_case" in metafunc.fixturenames:
         cases = _cases(metafunc.config.getoption("--default-variants"))
-        metafunc.parametrize("tracer_case", cases, ids=["-".join(case) for case in cases], scope="session")
+        ids = ["-".join([*case, form] if form == probe.CUDA else case) for case, form in cases]
+        metafunc.parametrize(("tracer_case", "kernel_form"), cases, ids=ids, scope="session", indirect=["kernel_form"])
     elif "any_device" in metafunc.fixturenames:
         metafunc.parametrize("any_device", _devices(), scope="session")
+
+
+@pytest.fixture(autouse=True)
+def kernel_form(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The form in which the CPU runs kernels as long as the test lasts, one of ``probe.FORMS``: of parameters."""
+    form: str = getattr(request, "param", probe.USUAL)
+    with probe.form(form):
+        yield form
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tiles of `light_grid`'s variants `packed` and `packed_scalar`, alone and as numpy arrays."""
+"""The tiles of `light_grid`'s variant `packed`, alone and as numpy arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from shadow_tracer.gpu.exact.light_frame import Anchor, make_anchor, make_light_
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.scene.lights import Light
 
-VARIANTS = ("packed", "packed_scalar")
 TILE, BLOCK = 32, 512  # rays
 LEVELS = ("tile", "block", "column")
 # At distance 1 from samples around the origin with scale 1, the depth of light space is 1/|h| for the first, Z/|h| for
@@ -122,8 +121,8 @@ def read(tiles: Tiles) -> Packed:
 class Packing:
     """Packs any rays, without a scene."""
 
-    def __init__(self, device: str, variant: str, max_rays: int, max_lights: int = 1) -> None:
-        self._tracer = ShadowTracer("light_grid", variant, device, Bounds(1, max_rays, max_lights, 1, 1))
+    def __init__(self, device: str, max_rays: int, max_lights: int = 1) -> None:
+        self._tracer = ShadowTracer("light_grid", "packed", device, Bounds(1, max_rays, max_lights, 1, 1), threads=1)
 
     def pack(
         self,
@@ -132,7 +131,7 @@ class Packing:
         states: np.ndarray | None = None,
         lights: tuple[Light, ...] = (OUTSIDE,),
     ) -> Packed:
-        """(lights, N, 4) rays in light space; (lights, N) kind of participant (all in tiles) and states (all lit)."""
+        """(lights, N, 4) rays in light space; (lights, N) group (all in tiles) and states (all lit)."""
         engine: Any = self._tracer._engine.inside
         frame, pipeline = engine._frame, engine._pipeline
         rays = np.ascontiguousarray(rays, np.float32).reshape(len(lights), -1, 4)
@@ -140,7 +139,7 @@ class Packing:
         frames = tuple(make_light_frame(light, Anchor((0.0, 0.0, 0.0), 1.0), k) for k, light in enumerate(lights))
         frame.set_samples(count, 0)
         frame.set_lights(frames)
-        group = pipeline._participants.group
+        group = pipeline._admission.groups
         frame.rays[:everything].assign(rays.reshape(-1, 4))
         group[:everything].assign(np.ones(everything, np.uint8) if kind is None else kind.reshape(-1))
         frame.states_of(0, len(lights)).assign(np.zeros(everything, np.uint8) if states is None else states.reshape(-1))

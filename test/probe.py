@@ -4,13 +4,45 @@ device side keeps things."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
-from shadow_tracer import ShadowTracer
+from shadow_tracer import DepthCamera, ShadowTracer, depth_camera
+
+# The form of kernels that the CPU takes in this process, see conftest.py, and that of a CUDA thread.
+USUAL, CUDA = "usual_form", "cuda_form"
+FORMS = (USUAL, CUDA)
+in_both_forms = pytest.mark.parametrize("kernel_form", FORMS, indirect=True)
+in_cuda_form = pytest.mark.parametrize("kernel_form", [CUDA], indirect=True)
+
+
+def in_forms(argument: str, usual: Sequence[Any], cuda: Sequence[Any]) -> pytest.MarkDecorator:
+    """Give an argument of a test some values in the usual form, and some in the form of CUDA."""
+    cases = []
+    for form, values in ((USUAL, usual), (CUDA, cuda)):
+        for value in values:
+            name = value if isinstance(value, str) else "/".join(value)
+            cases.append(pytest.param(value, form, id=name if form == USUAL else f"{name}-{form}"))
+    return pytest.mark.parametrize((argument, "kernel_form"), cases, indirect=["kernel_form"])
+
+
+@contextmanager
+def form(name: str) -> Iterator[None]:
+    """Let the CPU run kernels in one of :data:`FORMS`. A tracer that is made meanwhile is not to be used afterwards,
+    nor one that was made before, except in the same form again. The fixture ``kernel_form`` does it for a whole test.
+    """
+    if name == USUAL:
+        yield
+        return
+    from shadow_tracer.gpu.device import forms
+
+    with pytest.MonkeyPatch.context() as patch, forms.cuda_form():
+        patch.setattr(depth_camera, "_cameras", {})  # render_depth keeps one from call to call, of the other form
+        yield
 
 
 def wide(device: str) -> bool:
@@ -80,14 +112,14 @@ def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayT
     pipeline._descend = taken.append
     tracer.occluded(points, light, bias)
     del pipeline._descend
-    frame, scene, who = inside._frame, inside._scene, pipeline._participants
+    frame, scene, who = inside._frame, inside._scene, pipeline._admission
     occluders = Occluders()
     occluders.count, occluders.triangles = scene.triangle_count, scene.triangles
     occluders.records, occluders.corners = inside._context.records.memory, pipeline._corners.of(0)
     space = make_light_space(make_light_frame(light, inside._anchor))
-    tree, answers = pipeline._buffers.tree, who.answers(taken[0])
+    tree, answers = pipeline._buffers.tree, pipeline._context.answers(taken[0])
     found = int(who.counts.numpy()[0])
-    return RayTree(tree, pipeline._order, frame, scene, who.group, found, space, occluders, answers)
+    return RayTree(tree, pipeline._order, frame, scene, who.groups, found, space, occluders, answers)
 
 
 def forget_anchor(tracer: ShadowTracer) -> None:
@@ -206,14 +238,19 @@ def tree_builds(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[b
     return builds
 
 
+def kept_depth_camera(device: str) -> DepthCamera | None:
+    """The one that ``render_depth`` keeps from call to call."""
+    return depth_camera._cameras.get(device)
+
+
 def loaded(tracer: ShadowTracer) -> set[Any]:
-    """What has been launched on the tracer's device by anybody."""
+    """What has been launched on the tracer's device, in the tracer's form, by anybody."""
     return tracer._engine._seat.loaded
 
 
 def _forget(share: Any) -> None:
     if share._kept is not None:
         share._kept.forget()
-    guesses = getattr(share.pipeline, "_occluders", None)  # of mesh_bvh: each ray's last occluder
-    if guesses is not None:
-        guesses.zero_()
+    tree = getattr(share.pipeline, "_tree", None)  # of mesh_bvh: what hid each ray last
+    if tree is not None:
+        tree.hints.zero_()

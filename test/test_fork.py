@@ -118,7 +118,7 @@ def test_workers_are_started_in_the_child() -> None:
 
 def test_a_gpu_is_refused_in_a_child() -> None:
     """CUDA cannot be used in a process that was forked after its start: an error that names the cure."""
-    seat = seats.Seat(SimpleNamespace(is_cuda=True, __str__=lambda: "pretended"), records=True)
+    seat = seats.Seat(SimpleNamespace(is_cpu=False, is_cuda=True, __str__=lambda: "pretended"), records=True)
     assert seat.run(lambda: 1) == 1
 
     def child() -> str:

@@ -12,6 +12,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 from interrupts import Ring, Steps, ring_after
 
@@ -101,28 +102,29 @@ def test_signals_at_random_moments(question: str, threads: int) -> None:
     assert interrupted > 0
 
 
-_KINDS: list[tuple[str, int, dict[str, Any]]] = [
-    ("light_grid/packed", 1, {}),
-    ("light_grid/packed", 2, {}),
-    ("light_grid/packed_scalar", 1, {"graphs": True}),
-    ("light_grid/spherical", 1, {}),
-    ("cone_hierarchy/linear", 2, {}),
-    ("cone_hierarchy/precise", 1, {}),
-    ("mesh_bvh/refit", 1, {}),
-    ("brute_force/filtered", 2, {}),
-    ("auto/measured", 2, {}),
+_KINDS: list[tuple[str, int, dict[str, Any], str]] = [
+    ("light_grid/packed", 1, {}, probe.USUAL),
+    ("light_grid/packed", 2, {}, probe.USUAL),
+    ("light_grid/packed", 1, {"graphs": True}, probe.CUDA),
+    ("light_grid/spherical", 1, {}, probe.USUAL),
+    ("cone_hierarchy/linear", 2, {}, probe.USUAL),
+    ("cone_hierarchy/precise", 1, {}, probe.USUAL),
+    ("mesh_bvh/refit", 1, {}, probe.USUAL),
+    ("brute_force/filtered", 2, {}, probe.USUAL),
+    ("auto/measured", 2, {}, probe.USUAL),
 ]
 
 
 # Points in no order are slow to trace for the variants that follow the paper.
 @pytest.mark.parametrize(
-    ("question", "names", "threads", "more"),
+    ("question", "names", "threads", "more", "kernel_form"),
     [
         (question, *kind)
         for question in ("trace", "states_at", "verify")
         for kind in _KINDS
         if (question, kind[0]) != ("states_at", "cone_hierarchy/precise")
     ],
+    indirect=["kernel_form"],
 )
 @pytest.mark.slow
 def test_an_exception_at_any_step(question: str, names: str, threads: int, more: dict[str, Any]) -> None:

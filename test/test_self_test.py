@@ -102,7 +102,7 @@ def test_a_pipeline_that_fails_is_named(any_device: str, monkeypatch: pytest.Mon
     def fail(this: Any, work: Any) -> None:
         raise RuntimeError("out of luck")
 
-    monkeypatch.setattr(MeshBvh, "trace", fail)
+    monkeypatch.setattr(MeshBvh, "show", fail)
     results = {result.pipeline: result for result in self_test.run(any_device, threads=1)}
     assert not results["mesh_bvh"].ok and "out of luck" in results["mesh_bvh"].text
     assert results["mesh_bvh"].differing == 2 * 64 * 48 * 3
@@ -111,7 +111,7 @@ def test_a_pipeline_that_fails_is_named(any_device: str, monkeypatch: pytest.Mon
 
 
 def test_a_wrong_reference_is_found_out(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BruteForce, "trace", lambda this, work: None)
+    monkeypatch.setattr(BruteForce, "show", lambda this, work: None)
     results = self_test.run(any_device)
     assert not any(result.ok for result in results)
     assert "checksum" in results[0].text

@@ -15,6 +15,7 @@ import data
 import geometry
 import numpy as np
 import oracle
+import probe
 import pytest
 from scenario import compare, stride_for
 
@@ -68,12 +69,12 @@ def _rgbd_expected(sequence: str, number: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sequence,number", _FRAMES)
-def test_depth_frames_against_fused_meshes(tracer: Any, sequence: str, number: int) -> None:
+def test_depth_frames_against_fused_meshes(tracer: Any, kernel_form: str, sequence: str, number: int) -> None:
     vertices, triangles = data.mesh(f"rgbd_{sequence}_fused")
     tracer.scene.put("room", vertices, triangles)
     coarser = 1
     if tracer.pipeline == "brute_force":
-        coarser = 4 if tracer.variant == "filtered" else 16
+        coarser = 4 if tracer.variant == "filtered" and kernel_form == probe.USUAL else 16
     depth, camera = _rgbd(sequence, number, 8 * coarser)
     hidden, tie = _rgbd_expected(sequence, number)
     frame = tracer.trace(depth, camera, _room_lights(sequence, _rgbd(sequence, number, 8)[1]), _BIAS)
@@ -196,16 +197,18 @@ def test_robots_in_motion(tracer: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["sponza_dabrovic", "bart_robots_t10"])
-def test_pipelines_equal_brute_force_on_real_meshes(tracer: Any, tracers: Any, name: str) -> None:
-    if (tracer.pipeline, tracer.variant) == ("brute_force", "filtered"):
-        pytest.skip("this is what the others are compared with")
+def test_pipelines_equal_brute_force_on_real_meshes(tracer: Any, tracers: Any, kernel_form: str, name: str) -> None:
+    reference = "filtered"
+    if (tracer.pipeline, tracer.variant) == ("brute_force", reference):
+        if kernel_form == probe.USUAL:
+            pytest.skip("this is what the others are compared with")
+        reference = "float64"
     vertices, triangles = data.mesh(name)
     rng = np.random.default_rng(111)
-    points = vertices[rng.integers(0, len(vertices), 300)].astype(np.float64)[
-        :: 1 if tracer.variant != "float64" else 15
-    ]
+    step = 15 if "float64" in (tracer.variant, reference) else 1
+    points = vertices[rng.integers(0, len(vertices), 300)].astype(np.float64)[::step]
     low, high = vertices.min(axis=0).astype(float), vertices.max(axis=0).astype(float)
-    brute = tracers(tracer.device, "brute_force", "filtered")
+    brute = tracers(tracer.device, "brute_force", reference)
     for light in (PointLight("lamp", 0.5 * (low + high)), DirectionalLight("sun", (0.3, -1.0, 0.2))):
         for made in (brute, tracer):
             made.scene.put("mesh", vertices, triangles)

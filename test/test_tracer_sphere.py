@@ -11,6 +11,7 @@ from typing import Any
 import geometry
 import numpy as np
 import oracle
+import probe
 import pytest
 
 from shadow_tracer import (
@@ -156,7 +157,7 @@ def test_a_penumbra_is_never_black_or_white(any_device: str) -> None:
 
 
 @pytest.mark.parametrize("room", [1, 2, 3, 5, 8, 16, 64])
-@pytest.mark.parametrize("way", ["light_grid/packed", "light_grid/packed_scalar", "mesh_bvh/refit"])
+@probe.in_forms("way", ["light_grid/packed", "mesh_bvh/refit"], ["light_grid/packed"])
 @pytest.mark.slow
 def test_any_size_of_batches(any_device: str, way: str, room: int) -> None:
     """A sphere counts as one light of max_lights, however many points it has; with graphs as without."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 
 from shadow_tracer import (
@@ -31,14 +32,15 @@ _LIGHTS: list[Any] = [
     DirectionalLight("sun", (0.2, 0.3, -0.9)),
 ]
 _PAIRS = [
-    ("light_grid/packed", None),
-    ("light_grid/packed_scalar", "cone_hierarchy"),
-    ("light_grid/spherical", "brute_force"),
-    ("mesh_bvh/refit", None),
-    ("mesh_bvh/rebuild", "cone_hierarchy"),
-    ("cone_hierarchy/linear", "light_grid"),
-    ("brute_force/filtered", "light_grid"),
+    ("light_grid/packed", None, probe.USUAL),
+    ("light_grid/packed", "cone_hierarchy", probe.CUDA),
+    ("light_grid/spherical", "brute_force", probe.USUAL),
+    ("mesh_bvh/refit", None, probe.USUAL),
+    ("mesh_bvh/rebuild", "cone_hierarchy", probe.USUAL),
+    ("cone_hierarchy/linear", "light_grid", probe.USUAL),
+    ("brute_force/filtered", "light_grid", probe.USUAL),
 ]
+_pairs = pytest.mark.parametrize(("names", "against", "kernel_form"), _PAIRS, indirect=["kernel_form"])
 
 
 def _street() -> geometry.Geometry:
@@ -72,7 +74,7 @@ class _Traces:
         monkeypatch.setattr(frame.FrameTracer, "trace_depth", counted)
 
 
-@pytest.mark.parametrize("names,against", _PAIRS)
+@_pairs
 def test_right_answers_differ_nowhere_and_stay_right(any_device: str, names: str, against: str | None) -> None:
     """Frames in which everything changes, with and without a verification after each: the same bits, no difference."""
     tracer, alone = _tracer(names, any_device, True), _tracer("brute_force", any_device)
@@ -99,7 +101,7 @@ def test_right_answers_differ_nowhere_and_stay_right(any_device: str, names: str
         assert {State.LIT, State.SHADOWED} <= set(np.unique(expected.state(lights[0].name))) or step >= 7
 
 
-@pytest.mark.parametrize("names,against", _PAIRS)
+@_pairs
 def test_verify_alone_traces_for_itself(
     any_device: str, names: str, against: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,7 +138,7 @@ def test_a_blind_pipeline_is_found_out(any_device: str, names: str, wrong: str) 
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
     engine_: Any = tracer._engine.inside
     pipeline = engine_._pipeline if wrong == "first" else engine_._second.pipeline
-    pipeline.trace = lambda work: None
+    pipeline.show = lambda work: None
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == shadows
 
@@ -321,7 +323,7 @@ def test_buffers_of_the_second_pipeline(any_device: str) -> None:
     tracer.select("mesh_bvh")
     assert tracer._engine.second is None
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.second == "light_grid"
-    tracer.select("light_grid", "packed_scalar")
+    tracer.select("light_grid", "spherical")
     assert tracer._engine.second is None
 
 

@@ -12,6 +12,7 @@ import depth_image
 import geometry
 import numpy as np
 import oracle
+import probe
 
 from benchmark import procedural
 from shadow_tracer import Camera, DirectionalLight, PointLight, SpotLight, State
@@ -26,7 +27,6 @@ PROCEDURAL += [("stadium", eye) for eye in ("pot", "stand")]
 # looks at few triangles per sample.
 _PAIRS = {
     ("brute_force", "filtered"): 40_000_000,
-    ("brute_force", "scalar"): 20_000_000,
     ("brute_force", "float64"): 4_000_000,
     # trees over 2x2 blocks of pixels that see things far apart
     ("cone_hierarchy", "precise"): 400_000_000,
@@ -62,6 +62,8 @@ class View:
         """Every how manieth pixel, in both directions, a tracer is asked for: a power of two."""
         allowed = _PAIRS.get((tracer.pipeline, tracer.variant))
         pairs, step = self.depth.size * len(self.triangles) * len(self.lights), 1
+        if tracer.variant == "filtered" and tracer.device == "cpu" and not probe.wide("cpu"):
+            pairs *= 2  # without vector registers
         while allowed is not None and pairs > allowed * step * step:
             step *= 2
         return step

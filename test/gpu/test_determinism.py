@@ -13,6 +13,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 
 from shadow_tracer import Bias, Camera, DirectionalLight, PointLight, SpotLight, available_pipelines
@@ -62,6 +63,7 @@ def test_twice_and_after_unrelated_work(tracer: Any) -> None:
 
 
 @pytest.mark.slow
+@probe.in_both_forms
 def test_select_switches_at_run_time(tracers: Any, any_device: str) -> None:
     """Every pipeline, one after the other, on one tracer whose scene stays, moves, and changes in between."""
     tracer = tracers(any_device, "mesh_bvh", "refit")
@@ -92,12 +94,15 @@ for device, pipeline, variant in {cases!r}:
 
 
 @pytest.mark.slow
-def test_fresh_process(tracers: Any, any_device: str) -> None:
+@probe.in_both_forms
+def test_fresh_process(tracers: Any, any_device: str, kernel_form: str) -> None:
     """One child process, other bounds, all pipelines: the digests are those of this process."""
     cases = [(any_device, name, variant) for name, variants in available_pipelines().items() for variant in variants]
     expected = [hashlib.sha256(_bytes(tracers(*case))).hexdigest() for case in cases]
     code = _CHILD.format(root=str(_ROOT), test=str(_ROOT / "test"), here=str(Path(__file__).parent), cases=cases)
     environment = {**os.environ, "PYTHONHASHSEED": "123"}
+    if kernel_form == probe.CUDA:
+        environment["SHADOW_TRACER_FORM"] = "cuda"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=300, check=False
     )

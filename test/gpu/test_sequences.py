@@ -11,20 +11,33 @@ import sequences
 from poison import BYTES, Poison
 from sequences import ROOMY, TIGHT
 
-from shadow_tracer import Bounds, PointLight, ShadowTracer, available_pipelines
+from shadow_tracer import Bounds, ShadowTracer, available_pipelines
 from shadow_tracer.gpu.engine import cuts
 from shadow_tracer.gpu.engine import frame as frame_tracer
 
 _VARIANTS = [(name, variant) for name, variants in available_pipelines().items() for variant in variants]
 _DEFAULTS = [(name, variants[0]) for name, variants in available_pipelines().items()]
-# The inner loop takes the default variants and the first sequence.
-_MARKED = [
-    pytest.param(names, id="/".join(names), marks=[] if names in _DEFAULTS else [pytest.mark.slow])
-    for names in _VARIANTS
-]
+_CASES = [(names, probe.USUAL) for names in _VARIANTS]
+_CASES += [(names, probe.CUDA) for names in _DEFAULTS if names[0] in ("light_grid", "cone_hierarchy", "brute_force")]
+
+
+def _each(cases: list[tuple[tuple[str, str], str]]) -> pytest.MarkDecorator:
+    """The inner loop takes the default variants in the usual form."""
+    marked = [
+        pytest.param(
+            *(names, form),
+            id="/".join(names) if form == probe.USUAL else f"{'/'.join(names)}-{form}",
+            marks=[] if names in _DEFAULTS and form == probe.USUAL else [pytest.mark.slow],
+        )
+        for names, form in cases
+    ]
+    return pytest.mark.parametrize(("names", "kernel_form"), marked, indirect=["kernel_form"])
+
+
+# The inner loop takes the first sequence.
 _SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
 _SHARED = [("light_grid", "packed"), ("cone_hierarchy", "linear"), ("brute_force", "filtered"), ("auto", "measured")]
-_RECORDED = [("light_grid", "packed"), ("light_grid", "packed_scalar"), ("cone_hierarchy", "linear_scalar")]
+_PACKED, _LINEAR = ("light_grid", "packed"), ("cone_hierarchy", "linear")
 _FIRST = 50
 
 
@@ -56,7 +69,7 @@ def test_sequences_hold_what_they_promise() -> None:
 
 @pytest.mark.parametrize("seed", _SEEDS)
 @pytest.mark.parametrize("bounds", [ROOMY, TIGHT], ids=["roomy", "tight"])
-@pytest.mark.parametrize("names", _MARKED)
+@_each(_CASES)
 def test_unlike_frames_one_after_the_other(names: tuple[str, str], bounds: Bounds, seed: int) -> None:
     assert _wrong(_tracer(names, bounds), sequences.sequence(seed, 24)) == {}
 
@@ -72,7 +85,9 @@ def test_unlike_frames_by_several_threads(names: tuple[str, str], threads: int, 
 
 
 @pytest.mark.parametrize("seed", _SEEDS)
-@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize(
+    ("threads", "kernel_form"), [(1, probe.USUAL), (3, probe.USUAL), (1, probe.CUDA)], indirect=["kernel_form"]
+)
 def test_pipelines_that_take_turns_in_one_tracer(threads: int, seed: int) -> None:
     """Another pipeline every few frames, and frames traced by a second one in between."""
     rng, tracer = np.random.default_rng(seed), _tracer(("light_grid", "packed"), threads=threads)
@@ -85,7 +100,7 @@ def test_pipelines_that_take_turns_in_one_tracer(threads: int, seed: int) -> Non
 
 
 @pytest.mark.parametrize("seed", _SEEDS)
-@pytest.mark.parametrize("names", _RECORDED, ids="/".join)
+@probe.in_forms("names", [_PACKED], [_PACKED, _LINEAR])
 def test_unlike_frames_recorded(names: tuple[str, str], seed: int) -> None:
     """Each kind of frame twice more, so that it is recorded and replayed."""
     tracer = ShadowTracer(*names, device="cpu", bounds=(TIGHT, ROOMY)[seed % 2], graphs=True)
@@ -95,7 +110,7 @@ def test_unlike_frames_recorded(names: tuple[str, str], seed: int) -> None:
             assert np.array_equal(step.trace(tracer), step.states), number
 
 
-@pytest.mark.parametrize("names", _MARKED)
+@_each(_CASES)
 def test_first_frames_of_fresh_tracers(names: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """What lies in the memory they are given is anything; threads in turn, where there are several."""
     steps, wrong = sequences.sequence(4, _FIRST, fresh=True), {}
@@ -109,7 +124,7 @@ def test_first_frames_of_fresh_tracers(names: tuple[str, str], monkeypatch: pyte
 
 
 @pytest.mark.parametrize("byte", BYTES)
-@pytest.mark.parametrize("names", _MARKED)
+@_each(_CASES)
 def test_memory_that_nobody_has_written(names: tuple[str, str], byte: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """What frames leave unwritten stays poisoned from the allocation on."""
     Poison(monkeypatch, byte)
@@ -117,7 +132,7 @@ def test_memory_that_nobody_has_written(names: tuple[str, str], byte: int, monke
     assert _wrong(_tracer(names, threads=1 + BYTES.index(byte)), steps) == {}
 
 
-@pytest.mark.parametrize("names", _MARKED)
+@_each(_CASES)
 def test_nothing_is_read_that_the_frame_has_not_written(
     names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -130,10 +145,10 @@ def test_nothing_is_read_that_the_frame_has_not_written(
     assert not any(wrong.values()), wrong
 
 
-_COUNTING = [names for names in _VARIANTS if names[0] not in ("mesh_bvh", "auto")]  # hints and choices go on
+_COUNTING = [case for case in _CASES if case[0][0] not in ("mesh_bvh", "auto")]  # hints and choices go on
 
 
-@pytest.mark.parametrize("names", _COUNTING, ids="/".join)
+@_each(_COUNTING)
 @pytest.mark.slow
 def test_a_frame_takes_what_it_takes_a_fresh_tracer(names: tuple[str, str]) -> None:
     """Where everything is new: the same counters, so that nothing of an earlier frame was even looked at."""
@@ -146,27 +161,3 @@ def test_a_frame_takes_what_it_takes_a_fresh_tracer(names: tuple[str, str]) -> N
             probe.forget_anchor(each)
             counters.append(step.counters(each))
         assert counters[0] == counters[1], number
-
-
-@pytest.mark.slow
-def test_lights_in_passes_of_their_own_take_no_more_passes_together(any_device: str) -> None:
-    """One has a single uncertain pair a ray, the other many; what is counted for one is not taken for the other."""
-    fan = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
-    rim = np.stack([0.1 * np.cos(fan), 0.1 * np.sin(fan), np.full(40, 5.0)], axis=-1)
-    vertices = np.concatenate([[(0, 0, 5.0)], rim, [(5, 0, 0), (5, 0, 40), (5, 5, 20.0)]])
-    triangles = [*((0, 1 + k, 1 + (k + 1) % 40) for k in range(40)), (41, 42, 43)]
-    points = np.zeros((400, 3))
-    points[:, 2] = 10.0 + 0.01 * np.arange(400)
-    one, many = PointLight("one", (10.0, 0.0, 0.0)), PointLight("many", (0.0, 0.0, 0.0))
-
-    def passes(names: tuple[str, str], lights: list[PointLight]) -> int:
-        bounds = Bounds(len(triangles), 400, 2, queue_capacity=8, grid_entries=4096)
-        tracer = ShadowTracer(*names, device=any_device, bounds=bounds, threads=1)
-        tracer.scene.put("fan", vertices, triangles)
-        traced = probe.trace_points(tracer, points, lights)
-        assert (traced.states == 1).all()
-        return traced.counters["overflow_passes"]
-
-    for names in [("cone_hierarchy", "linear"), ("cone_hierarchy", "precise_sea"), ("light_grid", "spherical")]:
-        apart = passes(names, [one]) + passes(names, [many])
-        assert max(passes(names, [one, many]), passes(names, [many, one])) <= apart + 10 < 500

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.admission import IN_TREE, Admission
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.participants import IN_TREE, Participants
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.extents import STRIPES, clear_extents, joined, widen
 from shadow_tracer.gpu.device.sort import KeySort
@@ -185,14 +185,14 @@ def pack_keys(
 
 
 class RayOrder:
-    """Tree rays in the order of a curve: ``order[:n]`` are their sample indices, n = ``participants.counts[0]`` (on the
+    """Tree rays in the order of a curve: ``order[:n]`` are their sample indices, n = ``admission.counts[0]`` (on the
     device), the rest follows in no order. ``fit`` describes the cells of each face (``fit_cells``). ``packed`` (CPU
     and Morton curve only) sorts present rays alone; their number is read by the host.
     """
 
-    def __init__(self, context: Context, participants: Participants, hilbert: bool, packed: bool = False) -> None:
+    def __init__(self, context: Context, admission: Admission, hilbert: bool, packed: bool = False) -> None:
         self._context = context
-        self._participants = participants
+        self._admission = admission
         self._hilbert = int(hilbert)
         self._packed = packed
         device = context.frame.device
@@ -204,21 +204,21 @@ class RayOrder:
 
     def sort(self, light: int) -> None:
         """Order the tree rays of light number ``light`` that are not known to be in shadow."""
-        frame, who = self._context.frame, self._participants
+        frame, who = self._context.frame, self._admission
         device, count, states = frame.device, frame.count, frame.states_of(light)
         if self._packed:
             # One thread: it can pack the keys of present rays as it goes, so that only they are sorted.
-            wp.launch(measure_extent_wide, dim=1, inputs=[count, frame.rays, who.group, self._extent], device=device)
+            wp.launch(measure_extent_wide, dim=1, inputs=[count, frame.rays, who.groups, self._extent], device=device)
             wp.launch(fit_cells, dim=FACES, inputs=[1, self._extent, self.fit], device=device)
-            inputs = [count, frame.rays, states, who.group, self.fit, self.keys, self.order, who.counts]
+            inputs = [count, frame.rays, states, who.groups, self.fit, self.keys, self.order, who.counts]
             wp.launch(pack_keys, dim=1, inputs=inputs, device=device)
             self._sort.sort(int(who.counts.numpy()[0]), *_SORTED_BITS)
             return
         who.counts[0:1].zero_()
         wp.launch(clear_extents, dim=4 * FACES * STRIPES, inputs=[self._extent], device=device)
-        wp.launch(measure_extent, dim=count, inputs=[frame.rays, who.group, self._extent], device=device)
+        wp.launch(measure_extent, dim=count, inputs=[frame.rays, who.groups, self._extent], device=device)
         wp.launch(fit_cells, dim=FACES, inputs=[STRIPES, self._extent, self.fit], device=device)
-        inputs = [self._hilbert, frame.rays, states, who.group, self.fit, self.keys, self.order]
+        inputs = [self._hilbert, frame.rays, states, who.groups, self.fit, self.keys, self.order]
         wp.launch(make_keys, dim=count, inputs=inputs, device=device)
         self._sort.sort(count, *(_SORTED_BITS if self._hilbert == 0 else (0, KEY_BITS)))
         wp.launch(count_keys, dim=count, inputs=[count, self.keys, who.counts], device=device)

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from shadow_tracer.gpu.accelerators.interface import Context, Pipeline
+    from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ _OF_THE_PAPER = (
 REGISTRY: dict[str, PipelineEntry] = {
     "light_grid": PipelineEntry(
         "triangles in tiles of directions around the light, rays sorted into them",
-        {"packed": _PACKED, "packed_scalar": _PACKED, "spherical": "spherical_grid.spherical:SphericalGrid"},
+        {"packed": _PACKED, "spherical": "spherical_grid.spherical:SphericalGrid"},
         ("packed",),
     ),
     "cone_hierarchy": PipelineEntry(
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
-        {"linear": _LINEAR, "linear_scalar": _LINEAR} | dict.fromkeys(_OF_THE_PAPER, _PAPER),
+        {"linear": _LINEAR} | dict.fromkeys(_OF_THE_PAPER, _PAPER),
         ("linear",),
     ),
     "mesh_bvh": PipelineEntry(
@@ -68,8 +68,8 @@ REGISTRY: dict[str, PipelineEntry] = {
     ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
-        dict.fromkeys(("filtered", "scalar", "float64"), _BRUTE_FORCE),
-        ("filtered", "scalar", "float64"),
+        dict.fromkeys(("filtered", "float64"), _BRUTE_FORCE),
+        ("filtered", "float64"),
     ),
     AUTO: PipelineEntry(
         "chooses one of the others for each frame, by what frames have cost on this device", {"measured": None}
@@ -103,11 +103,11 @@ def side_by_side(pipeline: str, variant: str) -> bool:
     return variant in REGISTRY[pipeline].side_by_side
 
 
-def make_pipeline(name: str, variant: str, context: Context) -> Pipeline:
+def make_pipeline(name: str, variant: str, context: Context) -> Accelerator:
     """Make the pipeline ``name`` over the given context. Imports Warp, and of the pipelines only that one."""
     where = REGISTRY[name].classes[variant]
     assert where is not None, f"{name} is no separate pipeline"
     module, _, kind = where.partition(":")
     made: Any = getattr(import_module(f"shadow_tracer.gpu.accelerators.{module}"), kind)
-    pipeline: Pipeline = made(variant, context)
+    pipeline: Accelerator = made(variant, context)
     return pipeline

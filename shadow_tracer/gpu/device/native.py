@@ -7,7 +7,8 @@ not that of files the snippet includes. Compile errors on the CPU name the heade
 
 A header begins with a comment. Its first lines say what it takes, each as a comment::
 
-    // needs: exact/arithmetic.h device/lanes.h@16   other headers, each pasted once, before it
+    // needs: exact/arithmetic.h device/lanes.h@16   other headers, each pasted once, before it; a role (ROLES) is
+                                                     played by the header that a snippet names for it
     // constants: SHADOWED LEAF_TESTS                values that Python has given by ``constants``
     // arguments: Tiles tiles, Occluders occluders   names for the types of the native function's arguments
     // cpu                                           not for CUDA; nor is any text for more than one lane
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -33,6 +34,11 @@ import warp as wp
 
 ROOT = Path(__file__).resolve().parents[1]  # gpu/
 _SHOWN = "shadow_tracer/gpu"  # as compilers name it
+
+# What stands for a header in ``needs``, and the header that plays it unless a snippet names another: what is asked
+# about rays (a struct ``Query``), and how they go through a structure (a struct ``Walk``). Both names end with
+# the number of lanes.
+ROLES = {"query": "visibility/any_hit.h", "walk": "accelerators/brute_force/walk.h"}
 
 _constants: dict[str, int | float] = {}
 
@@ -92,15 +98,17 @@ def read(name: str) -> Header:
     )
 
 
-def closure(names: tuple[str, ...], lanes: int = 1) -> dict[tuple[str, int], Header]:
-    """Those headers and all that they need, by name and number of lanes, each behind what it needs."""
+def closure(names: tuple[str, ...], lanes: int = 1, roles: Mapping[str, str] = ROLES) -> dict[tuple[str, int], Header]:
+    """Those headers and all that they need, by name and number of lanes, each behind what it needs; ``roles``: who
+    plays them."""
     found: dict[tuple[str, int], Header] = {}
     for spelled in names:
         name, _, width = spelled.partition("@")
+        name = roles.get(name, name)
         header = read(name)
         own = (int(width) if width else lanes) if header.lanes else 1
         if header.lanes or not width:
-            found |= {key: value for key, value in closure(header.needs, own).items() if key not in found}
+            found |= {key: value for key, value in closure(header.needs, own, roles).items() if key not in found}
             found[name, own] = header
         else:
             raise ValueError(f"{spelled}: {name} is not written for lanes")
@@ -137,15 +145,16 @@ def paste(headers: dict[tuple[str, int], Header]) -> str:
     return "\n".join([*parts, "#undef UNCONTRACTED"]) + "\n"
 
 
-def snippet(*names: str, call: str, otherwise: str = "") -> str:
+def snippet(*names: str, call: str, otherwise: str = "", roles: Mapping[str, str] = ROLES) -> str:
     """The snippet of a native function.
 
     Args:
         names: the headers that ``call`` uses.
         call: the function's body, a call.
         otherwise: the body for CUDA, where one of the headers is for the CPU alone, or for several lanes.
+        roles: the headers that play the roles of ``ROLES``.
     """
-    headers = closure(names)
+    headers = closure(names, roles=roles)
     arguments = dict.fromkeys(pair for header in headers.values() for pair in header.arguments)
     types = "".join(f"typedef decltype({argument}) {kind};\n" for kind, argument in arguments)
     where = _line(f"{_SHOWN}/{names[-1].partition('@')[0]}: call")

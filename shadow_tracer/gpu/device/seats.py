@@ -14,6 +14,7 @@ import weakref
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
+from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.kernel_cache import mending
 
 _Result = TypeVar("_Result")
@@ -24,7 +25,7 @@ class _Room:
 
     def __init__(self) -> None:
         self.several = threading.RLock()  # held by whoever takes several locks: nobody else may
-        self.loaded: set[Hashable] = set()
+        self.loaded: dict[bool, set[Hashable]] = {True: set(), False: set()}  # by whether in the wide form
         self.seats: list[weakref.ref[Seat]] = []
 
     def enter(self, seat: Seat) -> None:
@@ -53,11 +54,13 @@ class Seat:
         self._process = os.getpid()
         self._room = _rooms.setdefault(str(device), _Room())
         self._room.enter(self)
+        self._loaded = self._room.loaded[forms.wide(device)]
 
     @property
     def loaded(self) -> set[Hashable]:
-        """Which kernels have been launched on the device by anybody, in the words of those who launch them."""
-        return self._room.loaded
+        """Which kernels of the same form have been launched on the device by anybody, in the words of those who launch
+        them."""
+        return self._loaded
 
     def run(self, frame: Callable[[], _Result], needs: Sequence[Hashable] = ()) -> _Result:
         """Do ``frame`` while nobody else does one here, nor on the whole device if it may be recorded or loads kernels.
@@ -77,7 +80,7 @@ class Seat:
             )
         if self.lock._is_owned():
             raise RuntimeError("a frame is under way in this thread: it cannot begin another one before it has ended")
-        if not self._records and self._room.loaded.issuperset(needs):
+        if not self._records and self._loaded.issuperset(needs):
             with self.lock:
                 return mending(frame)
         with self._room.several:

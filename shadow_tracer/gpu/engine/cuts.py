@@ -17,7 +17,7 @@ LEAST = 16384
 
 def share_count(device: Any, bounds: Bounds, threads: int, graphs: bool) -> int:
     """How many shares of the rays there are to be."""
-    if not forms.wide(device) or graphs or bounds.max_rays < LEAST * threads or bounds.queue_capacity < threads:
+    if not forms.wide(device) or graphs or bounds.max_rays < LEAST * threads:
         return 1
     return threads
 

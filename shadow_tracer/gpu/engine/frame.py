@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.gpu.accelerators.interface import Context, Pipeline
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 from shadow_tracer.gpu.accelerators.registry import side_by_side
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import FrameGraphs
@@ -91,7 +91,7 @@ class FrameTracer:
         self.take(*self.make_teams(names, chooser))
 
     @property
-    def _pipeline(self) -> Pipeline:
+    def _pipeline(self) -> Accelerator:
         return self._team[0].pipeline
 
     def make_teams(self, names: Names, chooser: Chooser | None) -> tuple[Chooser | None, dict[Names, list[Share]]]:
@@ -299,7 +299,7 @@ class FrameTracer:
                 self._planes.fetch(len(lights))
         # Further passes may make another light's records in the place of these.
         silent = self._context.records.silent(len(lights) - 1)
-        further = sum(share.finish_overflow(passes) for share in working)
+        further = sum(share.finish(passes) for share in working)
         with self.stages.stage("download"):
             found = self._found(working, len(lights), further > 0)
             counters = gather_counters(working)
@@ -320,7 +320,7 @@ class FrameTracer:
     def _passes(self, working: Sequence[Share], light_frames: Sequence[light_frame.LightFrame]) -> list[Pass]:
         """As many lights together as the pipeline takes and as there is room for."""
         together = min(
-            self._pipeline.lights_together,
+            self._pipeline.traits.lights_at_once,
             len(light_frames),
             *(share.frame.bounds.max_rays // max(share.frame.count, 1) for share in working),
             self._context.records.room(),
@@ -337,7 +337,7 @@ class FrameTracer:
         kernels = (first.names, None if source is None else source.name, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
         self._cold |= not loaded
-        if self._use_graphs and first.pipeline.recordable:
+        if self._use_graphs and first.pipeline.traits.recordable:
             frame, scene, records = first.frame, self._scene, self._context.records
             key = (*kernels[:2], frame.count, frame.width, scene.triangle_count, scene.vertex_count)
             key = (*key, records.places, records.stride)
@@ -365,7 +365,7 @@ class FrameTracer:
         left = list(stale)
         for light in (light for work in passes for light in work.lights):
             if left[light.number] and not left[light.number].everything:
-                share.prepare(Pass((light,)))
+                share.aim(Pass((light,)))
                 left[light.number] = Changed()
         return left
 
@@ -377,7 +377,7 @@ class FrameTracer:
         share.begin(source)
         for work in passes:
             share.project(work)
-            share.prepare(work)
+            share.aim(work)
             share.trace(work)
         if self._planes:
             with self.stages.stage("download"):
@@ -391,7 +391,7 @@ class FrameTracer:
         run: Callable[[Sequence[Job]], None],
     ) -> None:
         for number, work in enumerate(passes):
-            working[0].prepare(work)
+            working[0].aim(work)
 
             def job(share: Share, work: Pass = work, first: bool = number == 0) -> None:
                 begin = time.perf_counter()

@@ -11,8 +11,8 @@ No clipping, no projection and no intersection point is needed, wherever the cor
 included.
 
 Two tiers. ``filter_pair`` is float32 on the records of ``records.py``: 12 multiply-adds, 64 bytes a triangle,
-with an error bound; it answers no, yes or *maybe*. Pairs it cannot decide go to a bounded queue
-(``visibility/queue.py``), and are decided from the scene's float64 coordinates with exact signs (``determinant.py``).
+with an error bound; it answers no, yes or *maybe*. Pairs it cannot decide are decided from the scene's float64
+coordinates with exact signs (``determinant.py``), where they are found or from a queue (``visibility/answers.py``).
 A yes or no of the filter is proven to be what the exact decision would say, so a pipeline is right as soon as it shows
 every triangle that could matter to this test, in any order.
 """
@@ -22,7 +22,7 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.exact.light_frame import LIT, PENDING
+from shadow_tracer.gpu.exact.light_frame import LIT
 
 NO = wp.constant(0)
 YES = wp.constant(1)
@@ -44,7 +44,7 @@ def decide(sample: wp.vec4d, light: wp.vec4d, a: wp.vec3d, b: wp.vec3d, c: wp.ve
 @wp.func
 def is_ray(state: wp.uint8, ray: wp.vec4) -> bool:
     """Whether there is anything left to find out about a sample."""
-    return (state == wp.uint8(LIT) or state == wp.uint8(PENDING)) and ray[0] == ray[0]
+    return state == wp.uint8(LIT) and ray[0] == ray[0]
 
 
 @wp.func

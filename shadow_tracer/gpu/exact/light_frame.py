@@ -25,13 +25,14 @@ from shadow_tracer.gpu.device import native
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.lights import HardLight
 
-# Values of the state image; shadow_tracer.visibility.State is the public name. PENDING never leaves the device.
+# Values of the state image; shadow_tracer.visibility.State is the public name. OPEN (``visibility/queue.py``) never
+# leaves the device.
 LIT = wp.constant(0)
 SHADOWED = wp.constant(1)
 OUTSIDE = wp.constant(2)
 INVALID = wp.constant(3)
-PENDING = wp.constant(4)
-native.constants(LIT=LIT, SHADOWED=SHADOWED, OUTSIDE=OUTSIDE, INVALID=INVALID, PENDING=PENDING)
+OPEN = wp.constant(8)
+native.constants(LIT=LIT, SHADOWED=SHADOWED, OUTSIDE=OUTSIDE, INVALID=INVALID, OPEN=OPEN)
 
 
 @wp.struct

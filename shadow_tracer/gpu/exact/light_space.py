@@ -97,18 +97,9 @@ def plane_pad(slope_error: float, offset_error: float, magnitude: float) -> floa
     return 7.0 * (slope_error + offset_error) * magnitude
 
 
-# A ray's coordinates over the largest of its direction, beyond which the direction is lost in roundings.
+# A ray's coordinates over the largest of its direction, beyond which the direction is lost in roundings
+# (``accelerators/admission.py``).
 WILD_RATIO = 2.0**22
-native.constants(WILD_RATIO=WILD_RATIO)
-
-
-@wp.func
-def is_wild(ray: wp.vec4) -> bool:
-    """Whether a ray does not fit into light space: not finite, or so near to the light that its direction is lost in
-    the roundings of its coordinates. Beyond this, directions are within 3 u of exact."""
-    size = wp.max(wp.max(wp.abs(ray[0]), wp.abs(ray[1])), wp.abs(ray[2]))
-    sum = wp.abs(ray[0]) + wp.abs(ray[1]) + wp.abs(ray[2]) + wp.abs(ray[3]) + 1.0
-    return not (sum <= WILD_RATIO * size and sum < 1.0e30)
 
 
 @wp.func

@@ -94,6 +94,20 @@ def prepare_triangles(
         wp.atomic_add(silent, i // BLOCK, wp.vec2i(0, 1))
 
 
+# Sums of what casts nothing for a light: the CUDA form makes them of the counts per block, for the host to fetch.
+SUMS = 128
+
+
+@wp.kernel(enable_backward=False)
+def add_up(blocks: int, silent: wp.array(dtype=wp.vec2i), sums: wp.array(dtype=wp.vec2i)):
+    """Every so many blocks one thread."""
+    i = wp.tid()
+    total = wp.vec2i(0, 0)
+    for block in range(i, blocks, SUMS):
+        total += silent[block]
+    sums[i] = total
+
+
 @native.func_native("exact/records.h", calls="Records::block")
 def prepare_block(
     first: int,

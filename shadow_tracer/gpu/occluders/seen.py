@@ -12,14 +12,11 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.slices import Slices
 from shadow_tracer.gpu.device.transfers import HostCopies
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.exact.records import BLOCK, FILTER_FACTOR, prepare_blocks, prepare_triangles
+from shadow_tracer.gpu.exact.records import BLOCK, FILTER_FACTOR, SUMS, add_up, prepare_blocks, prepare_triangles
 from shadow_tracer.gpu.occluders.changes import Changed, Revision
 from shadow_tracer.gpu.occluders.slots import Range, blocks, few
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.scene.bounds import Bounds
-
-# Sums of what casts nothing, of each light: the CUDA form makes them of the counts per block, for the host to fetch.
-_SUMS = 128
 
 
 def prepare(
@@ -41,16 +38,6 @@ def prepare(
     else:
         dim = min(last * BLOCK, count) - first * BLOCK
         wp.launch(prepare_triangles, dim=dim, inputs=[first * BLOCK, *inputs], device=records.device)
-
-
-@wp.kernel(enable_backward=False)
-def add_up(blocks: int, silent: wp.array(dtype=wp.vec2i), sums: wp.array(dtype=wp.vec2i)):
-    """Every so many blocks one thread."""
-    i = wp.tid()
-    total = wp.vec2i(0, 0)
-    for block in range(i, blocks, _SUMS):
-        total += silent[block]
-    sums[i] = total
 
 
 class TriangleRecords:
@@ -80,7 +67,7 @@ class TriangleRecords:
         self.memory = wp.empty((bounds.max_triangles, 4), dtype=wp.vec4, device=device)
         self._silent = wp.zeros(bounds.max_triangles // BLOCK + lights, dtype=wp.vec2i, device=device)
         self._summed = not forms.wide(device)
-        self._sums = wp.zeros(_SUMS * lights if self._summed else 1, dtype=wp.vec2i, device=device)
+        self._sums = wp.zeros(SUMS * lights if self._summed else 1, dtype=wp.vec2i, device=device)
         host.add(self._sums if self._summed else self._silent)
         self._made_for: dict[int, tuple[tuple[object, ...], Revision]] = {}
         self._stale: dict[int, Changed] = {}
@@ -165,9 +152,9 @@ class TriangleRecords:
             light = self.light_frame(number)
             prepare(light, self.scene, self.of(number), self.front_face_culling, silent, (first, last))
         if self._summed:
-            sums = self._slices(self._sums, self.place(number) * _SUMS, _SUMS)
+            sums = self._slices(self._sums, self.place(number) * SUMS, SUMS)
             inputs = [-(-self.scene.triangle_count // BLOCK), silent, sums]
-            wp.launch(add_up, dim=_SUMS, inputs=inputs, device=self.scene.device)
+            wp.launch(add_up, dim=SUMS, inputs=inputs, device=self.scene.device)
         return stale
 
     def begin(self, frame: LightFrame) -> Changed:
@@ -197,7 +184,7 @@ class TriangleRecords:
         if count == 0:
             return 0, 0
         if self._summed:
-            counts = self._host.read(self._sums)[place * _SUMS : (place + 1) * _SUMS]
+            counts = self._host.read(self._sums)[place * SUMS : (place + 1) * SUMS]
         else:
             first = place * self.blocks
             counts = self._host.read(self._silent)[first : first + -(-count // BLOCK)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a pipeline is asked to do at a time."""
+"""What an accelerator is asked to do at a time."""
 
 from __future__ import annotations
 
@@ -14,26 +14,19 @@ class Pass:
     Ray number i belongs to light i // count of the pass and to sample i % count, count being the number of samples.
 
     Attributes:
-        lights: at most ``Pipeline.lights_together`` of them.
-        attempt: 0 looks at every ray; 1 and higher at those left PENDING by a full queue, see
-            ``accelerators/participants.py``.
-        part: 0 unless a list of the pipeline's own could not hold all of the attempt's work. Then the pipeline has told
-            ``FrameBuffers.parts`` how many parts there are, and is asked for the others in turn, with nothing in
-            between but the decision of queued pairs.
+        lights: at most ``Traits.lights_at_once`` of them.
         keep: what is made of the rays may be asked for ``again``.
         again: rays and states are what they were when the pass was traced last, with ``keep``, and nothing but the
-            scene has changed. Both are only asked of a ``Pipeline`` that ``keeps_rays``.
+            scene has changed. Both are only asked of an accelerator that ``keeps_rays``.
     """
 
     lights: tuple[LightFrame, ...]
-    attempt: int = 0
-    part: int = 0
     keep: bool = False
     again: bool = False
 
     @property
     def light(self) -> LightFrame:
-        """The first light; the only one of pipelines that take them one by one."""
+        """The first light; the only one of accelerators that take them one by one."""
         return self.lights[0]
 
     @property

@@ -17,22 +17,15 @@ from shadow_tracer.gpu.device.counters import RAYS
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 
-# Values of `again`, see `project`.
-FIRST_TIME = wp.constant(0)
-PENDING_RAYS = wp.constant(1)
-ONCE_MORE = wp.constant(2)
-
-
 # Samples per thread of the vectorised loop.
 _BLOCK = 256
-native.constants(FIRST_TIME=FIRST_TIME, PENDING_RAYS=PENDING_RAYS, PROJECT_BLOCK=_BLOCK)
+native.constants(PROJECT_BLOCK=_BLOCK)
 
 
 @native.func_native("samples/project.h", calls="Project::one")
 def project_sample(
     i: int,
     frame: LightFrame,
-    again: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
     rays: wp.array(dtype=wp.vec4),
@@ -46,7 +39,7 @@ def project_sample(
 @wp.kernel(enable_backward=False)
 def project_samples(
     light: wp.array(dtype=LightFrame),
-    again: int,
+    counted: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
     rays: wp.array(dtype=wp.vec4),
@@ -54,7 +47,7 @@ def project_samples(
     counters: wp.array2d(dtype=wp.int64),
 ):
     i = wp.tid()
-    if project_sample(i, light[0], again, samples, valid, rays, states) != 0:
+    if project_sample(i, light[0], samples, valid, rays, states) != 0 and counted == 0:
         wp.atomic_add(counters, i & 63, RAYS, wp.int64(1))
 
 
@@ -63,7 +56,7 @@ def project_block(
     first: int,
     count: int,
     frame: LightFrame,
-    again: int,
+    counted: int,
     column: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
@@ -71,8 +64,8 @@ def project_block(
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
-    """``project_samples`` for up to 256 samples from ``first`` on. Samples without a ray get one that starts with NaN;
-    if only pending rays are wanted, those of a whole block are made when any of it is pending."""
+    """``project_samples`` for up to 256 samples from ``first`` on. Samples without a ray get one that starts with
+    NaN."""
     ...
 
 
@@ -80,27 +73,25 @@ def project_block(
 def project_blocks(
     count: int,
     light: wp.array(dtype=LightFrame),
-    again: int,
+    counted: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
     rays: wp.array(dtype=wp.vec4),
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
-    project_block(wp.tid() * _BLOCK, count, light[0], again, RAYS, samples, valid, rays, states, counters)
+    project_block(wp.tid() * _BLOCK, count, light[0], counted, RAYS, samples, valid, rays, states, counters)
 
 
-def project(buffers: FrameBuffers, light: int, place: int, again: int) -> None:
-    """Rays of all samples and their states for light number ``light``, the one at ``place`` in its pass.
-
-    ``again`` is ``FIRST_TIME``; ``PENDING_RAYS``: only the rays of samples whose tracing is not finished, and no
-    states; or ``ONCE_MORE``: as the first time, but not counted."""
+def project(buffers: FrameBuffers, light: int, place: int, counted: bool = False) -> None:
+    """Rays of all samples and their states for light number ``light``, the one at ``place`` in its pass; ``counted``:
+    they are made once more, and have been counted."""
     wide = forms.wide(buffers.device)
 
     def prepare() -> tuple[int, list[Any]]:
         inputs = [
             buffers.light_frame_of[light],
-            again,
+            int(counted),
             buffers.samples,
             buffers.valid,
             buffers.rays_of(place),
@@ -109,5 +100,5 @@ def project(buffers: FrameBuffers, light: int, place: int, again: int) -> None:
         ]
         return (-(-buffers.count // _BLOCK), [buffers.count, *inputs]) if wide else (buffers.count, inputs)
 
-    key = (light, place, int(again), buffers.count)
+    key = (light, place, counted, buffers.count)
     buffers.launch(project_blocks if wide else project_samples, key, prepare)

@@ -14,6 +14,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import COUNTERS, LARGEST, ROWS
 from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.device.slices import Slices
@@ -31,7 +32,6 @@ def share_of(bounds: Bounds, shares: int) -> Bounds:
     return replace(
         bounds,
         max_rays=min(bounds.max_rays, math.ceil(_ROOM * bounds.max_rays / shares)),
-        queue_capacity=max(1, bounds.queue_capacity // shares),
         grid_entries=max(1, bounds.grid_entries // shares),
     )
 
@@ -87,14 +87,14 @@ class FrameBuffers:
         self.light_frame_of = [self._light_frames.array[k : k + 1] for k in range(bounds.max_lights)]
         self._lights_from = [self._light_frames.array[k:] for k in range(bounds.max_lights)]
         self.states = take("states", rays * bounds.max_lights, wp.uint8)  # light after light
-        self.queue = take("queue", bounds.queue_capacity, wp.vec2i)
+        # None in the wide form, see ``visibility/answers.py``; the CUDA form has one share.
+        places = 0 if forms.wide(device) else bounds.queue_capacity
+        self.queue = wp.empty(places, dtype=wp.vec2i, device=device)
         self.queue_counts = self.host.add(wp.zeros(bounds.max_lights, dtype=int, device=device))
         self.queue_count_of = [self.queue_counts[k : k + 1] for k in range(bounds.max_lights)]
-        # See Pass.part, by first light.
+        # By the first light of a pass: lists that an accelerator would need to hold all of it, see Accelerator.more.
         self.parts = self.host.add(wp.zeros(bounds.max_lights, dtype=int, device=device))
         self.parts_of = [self.parts[k : k + 1] for k in range(bounds.max_lights)]
-        self.resume = take("resume", rays, int)
-        self.deferred = wp.zeros(1, dtype=int, device=device)  # whether a pass left rays for the next one
         self.counters = self.host.add(wp.zeros((ROWS, len(COUNTERS)), dtype=wp.int64, device=device))
         self.count = 0  # samples of the current frame
         self.width = 0  # of the image they come from; 0 if they are a list of points

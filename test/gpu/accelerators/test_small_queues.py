@@ -29,15 +29,16 @@ _FUZZ = _fuzz_kinds()
 
 @pytest.fixture(scope="module")
 def cramped() -> Any:
-    """Tracers with a queue of the given capacity, by (device, pipeline, variant, capacity)."""
+    """Tracers with a queue of the given capacity, by device, form, pipeline, variant and capacity."""
     made: dict[tuple[Any, ...], ShadowTracer] = {}
 
     def get(case: tuple[str, str, str], capacity: int) -> ShadowTracer:
         device, pipeline, variant = case
-        if (*case, capacity) not in made:
+        key = (*case, probe.wide(device), capacity)
+        if key not in made:
             bounds = Bounds(max_triangles=2000, max_rays=1000, max_lights=1, queue_capacity=capacity)
-            made[(*case, capacity)] = ShadowTracer(pipeline, variant, device, bounds)
-        return probe.reset(made[(*case, capacity)])
+            made[key] = ShadowTracer(pipeline, variant, device, bounds)
+        return probe.reset(made[key])
 
     return get
 

@@ -9,11 +9,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import probe
 import pytest
 import views
 
 from benchmark import procedural
-from shadow_tracer import PointLight, SpotLight, State, available_pipelines
+from shadow_tracer import PointLight, SpotLight, State
 
 _EYES = ("pot", "touchline", "stand")
 
@@ -156,14 +157,12 @@ def test_lights_at_the_pot_see_what_they_must() -> None:
 
 
 @pytest.mark.parametrize("eye", ["pot", "stand"])
-@pytest.mark.parametrize(
-    "variant", [name for name in available_pipelines().get("light_grid", ()) if name.startswith("packed")]
-)
-def test_packed_tiles_do_not_blow_up(tracers: Any, any_device: str, variant: str, eye: str) -> None:
+@probe.in_both_forms
+def test_packed_tiles_do_not_blow_up(tracers: Any, any_device: str, eye: str) -> None:
     """In a grid of equal cells all rays and all of the pot meet in one. Here one tile of 32 rays may still meet all of
     it, where it is smaller than a pixel; on average a ray looks at less than one in a hundred triangles."""
     view = views.procedural_view("stadium", eye, 96)
-    tracer = tracers(any_device, "light_grid", variant)
+    tracer = tracers(any_device, "light_grid", "packed")
     tracer.scene.put("mesh", view.vertices, view.triangles)
     for light in view.lights:
         frame = tracer.trace(view.depth, view.camera, [light], view.bias)

@@ -7,6 +7,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 import warp as wp
 
@@ -15,11 +16,9 @@ from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTr
 _BOUNDS = Bounds(max_triangles=4000, max_rays=2500, max_lights=4, queue_capacity=4000)
 
 
-@pytest.fixture(params=["cone_hierarchy/linear_scalar", "light_grid/packed", "light_grid/packed_scalar"])
-def way(request: pytest.FixtureRequest) -> tuple[str, str]:
-    """Pipelines and variants that can be recorded on any device."""
-    pipeline, variant = request.param.split("/")
-    return pipeline, variant
+# Pipelines, variants and forms that can be recorded on any device.
+_PACKED, _LINEAR = ("light_grid", "packed"), ("cone_hierarchy", "linear")
+_ways = probe.in_forms("way", [_PACKED], [_PACKED, _LINEAR])
 
 
 def _tracer(way: tuple[str, str], device: str, graphs: bool | None) -> ShadowTracer:
@@ -61,6 +60,7 @@ def _frames(tracer: ShadowTracer) -> list[np.ndarray]:
     return states
 
 
+@_ways
 def test_replayed_frames_are_equal(way: tuple[str, str], any_device: str) -> None:
     plain, recording = _tracer(way, any_device, False), _tracer(way, any_device, True)
     expected = _frames(plain)
@@ -71,6 +71,7 @@ def test_replayed_frames_are_equal(way: tuple[str, str], any_device: str) -> Non
     assert engine._graphs.recorded() >= 2
 
 
+@_ways
 def test_a_replayed_frame_is_one_stage(way: tuple[str, str], any_device: str) -> None:
     tracer = _tracer(way, any_device, True)
     rng, camera = np.random.default_rng(1), _camera(0)
@@ -82,13 +83,13 @@ def test_a_replayed_frame_is_one_stage(way: tuple[str, str], any_device: str) ->
     assert frame.counters["rays"] > 1000 and frame.counters["nodes_visited"] > 0
 
 
-@pytest.mark.parametrize("variant", ["cone_hierarchy/linear_scalar", "light_grid/packed_scalar"])
+@probe.in_cuda_form
+@pytest.mark.parametrize("pipeline", ["cone_hierarchy", "light_grid"])
 def test_the_host_reads_only_what_it_has_fetched(
-    variant: str, any_device: str, monkeypatch: pytest.MonkeyPatch
+    pipeline: str, any_device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A frame of which everything is new, the way a GPU goes: to read an array of the device is to wait for it."""
-    pipeline, name = variant.split("/")
-    tracer = ShadowTracer(pipeline, name, device=any_device, bounds=_BOUNDS, graphs=True)
+    tracer = ShadowTracer(pipeline, device=any_device, bounds=_BOUNDS, graphs=True)
     engine: Any = tracer._engine.inside
     frame = engine._frame
     frame.upload._staged = True
@@ -115,6 +116,7 @@ def test_the_host_reads_only_what_it_has_fetched(
     assert read and set(read) <= {mirror.ptr for mirror in frame.host._mirrors.values()}
 
 
+@_ways
 def test_recordings_do_not_outlive_the_pipeline(way: tuple[str, str], any_device: str) -> None:
     tracer = _tracer(way, any_device, True)
     rng, camera = np.random.default_rng(2), _camera(0)
@@ -129,6 +131,7 @@ def test_recordings_do_not_outlive_the_pipeline(way: tuple[str, str], any_device
     assert all(np.array_equal(state, first) for state in again)
 
 
+@_ways
 @pytest.mark.parametrize("capacity", [1, 3])
 def test_overflow_after_a_replay(way: tuple[str, str], any_device: str, capacity: int) -> None:
     """Rays on the surfaces of a ball without a bias: many pairs for a queue of one."""

@@ -16,6 +16,8 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
+from shadow_tracer.gpu.accelerators.brute_force.brute_force import BruteForce  # noqa: E402
+from shadow_tracer.gpu.accelerators.walker import Walk  # noqa: E402
 from shadow_tracer.gpu.device import native  # noqa: E402
 
 _ROOT = Path(__file__).resolve().parents[3]
@@ -84,7 +86,10 @@ def _snippets() -> list[str]:
         importlib.import_module(".".join(path.relative_to(_ROOT).with_suffix("").parts))
         for path in sorted((_ROOT / "shadow_tracer" / "gpu").rglob("*.py"))
     ]
-    functions = (value for module in modules for value in vars(module).values() if isinstance(value, wp.Function))
+    values = [value for module in modules for value in vars(module).values()]
+    walks = [value for value in values if isinstance(value, Walk)] + [BruteForce.walk]
+    functions = [value for value in values if isinstance(value, wp.Function)]
+    functions += [function for walk in walks for function in walk.functions]
     return [function.native_snippet for function in functions]
 
 

@@ -25,7 +25,7 @@ from shadow_tracer.scene.mesh import Scene
 _BOUNDS = Bounds(max_triangles=5000, max_rays=5000, max_lights=2, queue_capacity=10_000, grid_entries=100_000)
 _DEPTH = np.full((64, 64), 6.0, np.float32)
 _CAMERA = Camera(64, 64, 60.0, 60.0, 31.5, 31.5, geometry.pose_of(np.eye(3), (0.0, 0.0, -5.0)))
-_RECORDABLE = ["light_grid/packed", "light_grid/packed_scalar", "cone_hierarchy/linear_scalar"]
+_recordable = probe.in_forms("names", ["light_grid/packed"], ["light_grid/packed", "cone_hierarchy/linear"])
 
 
 def _mesh() -> geometry.Geometry:
@@ -50,7 +50,7 @@ def _expected(device: str, steps: int) -> list[bytes]:
     return [_frame(tracer, step) for step in range(steps)]
 
 
-@pytest.mark.parametrize("names", _RECORDABLE)
+@_recordable
 def test_a_recording_that_fails_is_replaced_by_launches(
     names: str, any_device: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -77,7 +77,7 @@ def _recording(device: str) -> bool:
     return bool(runtime._apic_graph is not None or wp.get_device(device).is_capturing)
 
 
-@pytest.mark.parametrize("names", _RECORDABLE)
+@_recordable
 def test_an_exception_while_a_frame_is_recorded(names: str, any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The recording does not stay open: what is launched afterwards is executed."""
     tracer = _tracer(names, any_device)
@@ -100,6 +100,7 @@ def test_an_exception_while_a_frame_is_recorded(names: str, any_device: str, mon
 
 
 @pytest.mark.slow
+@probe.in_cuda_form
 def test_recording_beside_another_thread(any_device: str) -> None:
     """A tracer that records a new kind of frame all the time, depth images and another tracer in two other threads,
     threads changed as often as Python can."""
@@ -117,7 +118,7 @@ def test_recording_beside_another_thread(any_device: str) -> None:
 
     def trace() -> None:
         while not over.is_set():
-            other = _tracer("light_grid/packed_scalar", any_device, False)  # allocates, too
+            other = _tracer("light_grid/packed", any_device, False)  # allocates, too
             if [_frame(other, step) for step in range(4)] != expected:
                 wrong.append("frame of the other tracer")
 
@@ -134,7 +135,7 @@ def test_recording_beside_another_thread(any_device: str) -> None:
         for thread in threads:
             thread.start()
         for _ in range(12):
-            tracer = _tracer("light_grid/packed_scalar", any_device)
+            tracer = _tracer("light_grid/packed", any_device)
             assert [_frame(tracer, step) for _ in range(3) for step in range(4)] == 3 * expected
             assert probe.recordings(tracer) == 2 and not wrong
     finally:

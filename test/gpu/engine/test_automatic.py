@@ -277,7 +277,7 @@ def test_the_first_frame_teaches_nothing(names: Names, monkeypatch: pytest.Monke
     millimetres = (1000.0 * np.nan_to_num(lesson.seen.depth)).astype(np.uint16)
     assert lesson.frame(names, millimetres) == [], "a kernel that takes millimetres is loaded"
     assert lesson.frame(names, millimetres) == [names]
-    lesson.tracer.select("brute_force", "scalar")
+    lesson.tracer.select("brute_force", "float64")
     lesson.tracer.select("auto")
     assert lesson.frame(names) == [], "its buffers are new"
     assert lesson.frame(names) == [names]

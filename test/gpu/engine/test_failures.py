@@ -7,6 +7,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 import warp as wp
 
@@ -24,7 +25,7 @@ _CAMERA = Camera(48, 40, 48.0, 48.0, 23.5, 19.5)
 _DEPTH = np.full((40, 48), 5.0, np.float32)
 _LIGHTS = [PointLight("left", (-0.5, 0.0, 0.0)), PointLight("right", (0.5, 0.1, 0.0))]
 _MOVED = [PointLight("left", (0.3, 0.9, 0.2)), PointLight("right", (-0.4, -0.8, 0.1))]
-_PIPELINES = ["light_grid/packed", "light_grid/packed_scalar", "cone_hierarchy/linear", "mesh_bvh/refit"]
+_PIPELINES = ["light_grid/packed", "cone_hierarchy/linear", "mesh_bvh/refit"]
 
 
 class _Out(RuntimeError):
@@ -55,8 +56,9 @@ def _fail_once(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, after: in
     monkeypatch.setattr(owner, name, failing)
 
 
+@probe.in_both_forms
 @pytest.mark.parametrize("names", _PIPELINES)
-@pytest.mark.parametrize("where", ["project", "prepare", "trace"])
+@pytest.mark.parametrize("where", ["project", "aim", "trace"])
 def test_a_frame_after_one_that_failed_is_right(names: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Records were announced for new lights and not made: nobody may take those of the old lights for them."""
     tracer, other = _tracer(names), _tracer(names)
@@ -142,6 +144,7 @@ def test_a_warm_up_that_fails_forces_no_choice(candidate: int, monkeypatch: pyte
     assert tracer.choice.startswith("/".join(chooser.chosen))
 
 
+@probe.in_cuda_form  # in the other the first pipeline has something else instead
 def test_what_a_pipeline_shares_is_freed_with_its_last_user() -> None:
     """Vertices seen from a light belong to all who need them, the second pipeline among them."""
     tracer = _tracer("mesh_bvh")
@@ -152,7 +155,7 @@ def test_what_a_pipeline_shares_is_freed_with_its_last_user() -> None:
     assert shared.find(Corners) is not None and tracer.device_bytes >= plain + shared.nbytes() > plain
     tracer.release_verify()
     assert shared.find(Corners) is None and tracer.device_bytes == plain
-    tracer.select("light_grid", "packed_scalar")
+    tracer.select("light_grid")
     tracer.prepare_verify("cone_hierarchy")
     corners = id(shared.find(Corners))
     tracer.release_verify()

@@ -9,6 +9,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer, State
@@ -181,16 +182,15 @@ def test_a_stage_that_one_share_does_for_all_is_not_lost(monkeypatch: pytest.Mon
     assert list(stages)[0] == "upload" and list(stages)[-1] == "download"
 
 
+@probe.in_cuda_form  # the other makes no records of triangles that concern nobody
 def test_counters_are_those_of_the_last_light_even_after_further_passes() -> None:
     """One place for records: the further pass of the first light makes its records anew there. The last light reaches
     nobody, and so needs none."""
     vertices, triangles = geometry.icosphere(1, 0.7, (0.0, 0.0, 2.0))
     counters = []
-    for queue in (4096, 1):
-        bounds = replace(_BOUNDS, max_triangles=len(triangles) + 10, queue_capacity=queue)
-        tracer = ShadowTracer(
-            "light_grid", "packed_scalar", device="cpu", bounds=bounds, threads=1, front_face_culling=True
-        )
+    for entries in (8192, 1):
+        bounds = replace(_BOUNDS, max_triangles=len(triangles) + 10, grid_entries=entries)
+        tracer = ShadowTracer("light_grid", device="cpu", bounds=bounds, threads=1, front_face_culling=True)
         tracer.scene.put("ball", vertices, triangles)
         lights = [PointLight("inside", (0.0, 0.0, 2.0)), PointLight("last", (0.0, 3.0, 2.0), range=0.01)]
         # Samples on corners: none of them is decided by the filter.

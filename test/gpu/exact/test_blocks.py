@@ -14,14 +14,13 @@ wp = pytest.importorskip("warp")
 
 from shadow_tracer import Bounds, DirectionalLight, PointLight, SpotLight  # noqa: E402
 from shadow_tracer.gpu.device.devices import pick_device  # noqa: E402
-from shadow_tracer.gpu.exact.light_frame import PENDING, Anchor, make_light_frame  # noqa: E402
+from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame  # noqa: E402
 from shadow_tracer.gpu.exact.records import BLOCK, FILTER_FACTOR, prepare_triangles  # noqa: E402
 from shadow_tracer.gpu.occluders.seen import prepare  # noqa: E402
 from shadow_tracer.gpu.occluders.world import SceneBuffers  # noqa: E402
 from shadow_tracer.gpu.samples import pixels  # noqa: E402
 from shadow_tracer.gpu.samples import rays as projection  # noqa: E402
 from shadow_tracer.gpu.samples.pinhole import Pinhole  # noqa: E402
-from shadow_tracer.gpu.samples.rays import FIRST_TIME, ONCE_MORE, PENDING_RAYS  # noqa: E402
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers  # noqa: E402
 from shadow_tracer.scene.checks import LARGEST  # noqa: E402
 from shadow_tracer.scene.mesh import Scene  # noqa: E402
@@ -138,8 +137,8 @@ def _samples(rng: np.random.Generator, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("light", _LIGHTS)
 @pytest.mark.parametrize("count", [1, 255, 256, 257, 5000])
-@pytest.mark.parametrize("again", [FIRST_TIME, PENDING_RAYS, ONCE_MORE])
-def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int) -> None:
+@pytest.mark.parametrize("counted", [False, True])
+def test_rays_and_states(frame: FrameBuffers, light: str, count: int, counted: bool) -> None:
     rng = np.random.default_rng(count)
     samples, valid = frame.samples.numpy(), frame.valid.numpy()
     samples[:count], valid[:count] = _samples(rng, count), rng.random(count) < 0.8
@@ -149,28 +148,20 @@ def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int
     frame.set_lights([frame_of_light])
     inputs = [
         frame.light_frame_of[0],
-        again,
+        int(counted),
         frame.samples,
         frame.valid,
         frame.rays,
         frame.states,
         frame.counters,
     ]
-    states = np.full(count, 9, np.uint8)
-    if again == PENDING_RAYS:
-        projection.project(frame, 0, 0, 0)
-        states = frame.states.numpy()[:count].copy()
-        # Pending ones are few and not in every block, as after a queue that was nearly large enough.
-        few = (rng.random(count) < 0.02) & (np.arange(count) // 256 % 3 != 1)
-        states[(states == 0) & (few | (count < 300))] = PENDING
 
     def run(blocks: bool) -> tuple[np.ndarray, np.ndarray, int]:
         frame.rays.fill_(wp.vec4(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
         frame.states.fill_(9)
-        frame.states.numpy()[:count] = states
         frame.counters.zero_()
         if blocks:
-            projection.project(frame, 0, 0, again)
+            projection.project(frame, 0, 0, counted)
         else:
             wp.launch(projection.project_samples, dim=count, inputs=inputs, device="cpu")
         return frame.rays.numpy().copy(), frame.states.numpy().copy(), frame.read_counters()["rays"]
@@ -179,14 +170,13 @@ def test_rays_and_states(frame: FrameBuffers, light: str, count: int, again: int
     block_rays, block_after, block_traced = run(True)
     np.testing.assert_array_equal(block_after, after)
     assert block_traced == traced
-    assert (traced > 0) == (again == FIRST_TIME) or count == 1
-    concerned = (after == PENDING if again == PENDING_RAYS else after == 0)[:count]
+    assert (traced > 0) != counted or count == 1
+    concerned = (after == 0)[:count]
     there = ~np.isnan(rays[:count, 0])
     np.testing.assert_array_equal(np.isnan(block_rays[:count, 0])[concerned], ~there[concerned])
     np.testing.assert_array_equal(_bits(block_rays)[:count][concerned & there], _bits(rays)[:count][concerned & there])
     assert (block_rays[count:] == _GARBAGE).all(), "written beyond the samples"
-    if again != PENDING_RAYS:
-        assert np.isnan(block_rays[:count, 0])[~concerned].all(), "a sample that is not traced has a ray"
+    assert np.isnan(block_rays[:count, 0])[~concerned].all(), "a sample that is not traced has a ray"
 
 
 # Triangles to records

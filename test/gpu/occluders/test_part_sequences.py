@@ -21,13 +21,17 @@ from shadow_tracer.gpu.engine import frame as frame_tracer
 _MOST = 1400
 _BOUNDS = Bounds(_MOST, 3000, 3, queue_capacity=2048, grid_entries=8192)
 _CAMERA = Camera(60, 50, 50.0, 50.0, 29.5, 24.5)
-_RECORDED = [("light_grid", "packed"), ("light_grid", "packed_scalar"), ("cone_hierarchy", "linear_scalar")]
 _SHARED = [("light_grid", "packed"), ("cone_hierarchy", "linear"), ("brute_force", "filtered"), ("auto", "measured")]
 _VARIANTS = [(name, variant) for name, variants in available_pipelines().items() for variant in variants]
 _DEFAULTS = [(name, variants[0]) for name, variants in available_pipelines().items()]
 _MARKED = [
-    pytest.param(names, id="/".join(names), marks=[] if names in _DEFAULTS else [pytest.mark.slow])
-    for names in _VARIANTS
+    *(pytest.param(names, probe.USUAL, id="/".join(names)) for names in _DEFAULTS),
+    *(
+        pytest.param(names, form, id=f"{'/'.join(names)}-{form}", marks=pytest.mark.slow)
+        for form in probe.FORMS
+        for names in _VARIANTS
+        if form == probe.CUDA or names not in _DEFAULTS
+    ),
 ]
 _SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
 
@@ -151,7 +155,7 @@ def _counts_all(names: tuple[str, str]) -> bool:
 
 
 @pytest.mark.parametrize("seed", _SEEDS)
-@pytest.mark.parametrize("names", _MARKED)
+@pytest.mark.parametrize(("names", "kernel_form"), _MARKED, indirect=["kernel_form"])
 def test_parts_come_and_go(names: tuple[str, str], seed: int) -> None:
     layouts = _walk(_tracer(names), seed, _counts_all(names))
     gaps = sum(each.looked_at > each.live for each in layouts)
@@ -170,7 +174,7 @@ def test_parts_come_and_go_by_two_threads(names: tuple[str, str], seed: int) -> 
 
 
 @pytest.mark.parametrize("seed", _SEEDS)
-@pytest.mark.parametrize("names", _RECORDED, ids="/".join)
+@probe.in_forms("names", [("light_grid", "packed")], [("light_grid", "packed"), ("cone_hierarchy", "linear")])
 def test_parts_come_and_go_while_frames_are_recorded(names: tuple[str, str], seed: int) -> None:
     """Some frames of the sequence are asked for again, and so recorded and replayed."""
     tracer = _tracer(names, graphs=True)

@@ -23,7 +23,6 @@ _LIGHTS = [PointLight("lamp", (0.5, -0.3, 2.5)), DirectionalLight("sun", (0.3, 0
 _POINTS = np.random.default_rng(3).uniform((-2.0, -2.0, -0.6), (2.0, 2.0, 0.2), (1500, 3))
 _NAMES = [
     "light_grid/packed",
-    "light_grid/packed_scalar",
     "light_grid/spherical",
     "cone_hierarchy/linear",
     "cone_hierarchy/precise_seatp",
@@ -85,9 +84,12 @@ class _World:
 Make = Callable[..., _World]
 
 
-@pytest.fixture(params=_NAMES)
-def make(request: Any, any_device: str, monkeypatch: pytest.MonkeyPatch) -> Make:
-    return partial(_World, request.param, any_device, monkeypatch)
+_each = probe.in_forms("names", _NAMES, ["light_grid/packed", "cone_hierarchy/linear"])
+
+
+@pytest.fixture
+def make(names: str, kernel_form: str, any_device: str, monkeypatch: pytest.MonkeyPatch) -> Make:
+    return partial(_World, names, any_device, monkeypatch)
 
 
 @pytest.fixture
@@ -96,6 +98,7 @@ def world(make: Make) -> _World:
 
 
 @pytest.mark.parametrize("first", ["marker", "terrain"])
+@_each
 def test_a_marker_that_comes_and_goes_copies_nothing_of_a_terrain(world: _World, first: str) -> None:
     """Before the terrain or behind it; and where it has been another one finds its place."""
     scene = world.scene
@@ -122,6 +125,7 @@ def test_a_marker_that_comes_and_goes_copies_nothing_of_a_terrain(world: _World,
 
 
 @pytest.mark.parametrize("first", ["marker", "terrain"])
+@_each
 def test_only_what_a_marker_touches_is_made_again(world: _World, first: str) -> None:
     """Records, corners and boxes of both lights; the marker's, and those of the terrain that share a block with it."""
     meshes = {"marker": _marker(), "terrain": _terrain()}
@@ -150,12 +154,10 @@ def test_only_what_a_marker_touches_is_made_again(world: _World, first: str) -> 
     assert rests not in probe.remade(tracer, world.states)["records"]
 
 
-@pytest.mark.parametrize("names", ["light_grid/packed", "light_grid/packed_scalar", "cone_hierarchy/linear_scalar"])
-def test_recorded_frames_make_what_a_marker_touches(
-    names: str, any_device: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@probe.in_forms("names", ["light_grid/packed"], ["light_grid/packed", "cone_hierarchy/linear"])
+def test_recorded_frames_make_what_a_marker_touches(make: Make) -> None:
     """A marker that moves is made before the recording, of which there is one for all its places."""
-    world = _World(names, any_device, monkeypatch, graphs=True)
+    world = make(graphs=True)
     world.scene.put("terrain", *_terrain())
     world.scene.put("marker", *_marker())
     for step in range(6):
@@ -170,6 +172,7 @@ def test_recorded_frames_make_what_a_marker_touches(
         world.copied()
 
 
+@_each
 def test_gaps_of_many_parts_are_filled_or_closed(make: Make) -> None:
     """Every other part goes; parts that fit lie in the gaps, one that does not closes them all."""
     world = make(bounds=replace(_BOUNDS, max_triangles=1000))
@@ -197,10 +200,10 @@ def test_gaps_of_many_parts_are_filled_or_closed(make: Make) -> None:
     assert now.live == now.looked_at == 600, "gaps of more than half of what there is are closed"
 
 
-@pytest.mark.parametrize("variant", ["refit", "binary"])
-def test_a_tree_is_refitted_for_markers(variant: str, any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@probe.in_forms("names", ["mesh_bvh/refit", "mesh_bvh/binary"], ["mesh_bvh/refit"])
+def test_a_tree_is_refitted_for_markers(world: _World, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is built for the terrain, once more when there is a first marker, and when much has been replaced."""
-    world, rng = _World(f"mesh_bvh/{variant}", any_device, monkeypatch), np.random.default_rng(8)
+    rng = np.random.default_rng(8)
     builds = probe.tree_builds(world.tracer, monkeypatch)
     world.scene.put("terrain", *_terrain())
     world.copied()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import probe
 import pytest
 import test_node_cameras
 import test_node_markers
@@ -167,7 +168,7 @@ def test_every_parameter_is_shown_to_change_something() -> None:
         ("bias__constant", "small", "bias.constant: expected double (0 to 1 m), got 'small'"),
         ("mask__unknown_value", 255, "mask.unknown_value: expected integer (0 to 254), got 255"),
         ("pose_source", "gps", "pose_source: expected string (tf, topic, parameter), got 'gps'"),
-        ("variant", "float64", "variant: expected one of packed, packed_scalar"),
+        ("variant", "float64", "variant: expected one of packed, spherical"),
         ("camera_pose", [0.0], "camera_pose: expected double array (7 numbers)"),
         ("light_names", ["a b"], "light_names: expected names"),
         ("light_names", ["a", "a"], "light_names: expected different names"),
@@ -570,7 +571,8 @@ def test_bounds_max_lights() -> None:
 
 @pytest.mark.parametrize("bound", ["queue_capacity", "grid_entries"])
 def test_bounds_that_cost_passes(bound: str) -> None:
-    """Less room for what waits: more passes, the same mask, and a warning that names the bound."""
+    """Less room for what waits: more passes, the same mask, and a warning that names the bound. On the CPU no pair
+    waits."""
     # Rays that meet the edges of this plate exactly cannot be decided at once, and wait.
     mesh = plate(half=2.0 * 8.5 / FOCAL)
     masks = []
@@ -579,8 +581,9 @@ def test_bounds_that_cost_passes(bound: str) -> None:
             rig.send_mesh(*mesh)
             masks.append(rig.trace(wall()))
             rig.until(lambda: rig.value(PROCESSING, "traced") == "1")
-            assert (int(rig.value(PROCESSING, "overflow passes")) > 0) == bool(values)
-            if values:
+            costs = bool(values) and (bound == "grid_entries" or not probe.wide("cpu"))
+            assert (int(rig.value(PROCESSING, "overflow passes")) > 0) == costs
+            if costs:
                 rig.wait_status(PROCESSING, WARN, f"bounds.{bound}")
     np.testing.assert_array_equal(*masks)
 

@@ -37,7 +37,7 @@ BAD = [
     ),
     ("pipeline", 3, "pipeline: expected string"),
     ("variant", "fast", "variant: expected string"),
-    ("variant", "float64", "variant: expected one of packed, packed_scalar, spherical"),
+    ("variant", "float64", "variant: expected one of packed, spherical"),
     ("device", "gpu", "device: expected string (auto, cpu, cuda:N), got 'gpu'"),
     ("device", "cuda", "device: expected string"),
     ("threads", -1, "threads: expected integer (0 to 64), got -1"),

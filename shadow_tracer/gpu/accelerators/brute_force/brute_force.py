@@ -1,17 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every sample against every triangle: the in-house oracle.
 
-Variant ``filtered`` uses the float32 filter and the queue as every pipeline does; ``scalar`` is the same with one
-sample per thread on every device; ``float64`` asks the exact decision for every single pair and uses neither. All must
-give the same bits, which tests the filter's bound on any scene at hand.
+Variant ``filtered`` uses the float32 filter as every pipeline does; ``float64`` asks the exact decision for every
+single pair. Both must give the same bits, which tests the filter's bound on any scene at hand.
 
-Cost: samples x triangles pairs, 12 multiply-adds each, 64 bytes of record per triangle read by all samples. On the CPU
-a thread takes a block of samples and the filter runs over them in vector registers (Warp's own loops are scalar there:
-ten times slower); on CUDA, and in variant ``scalar``, a thread takes one sample.
-
-``attempt`` of ``trace``: 0 looks at every ray; 1 looks again, from the start, at rays that found the queue full
-(PENDING); 2 goes on with them where the attempt before stopped (``resume`` counts the pairs of a sample that have been
-queued).
+Cost: samples x triangles pairs, 12 multiply-adds each, 64 bytes of record per triangle. On the CPU sixteen rays stay in
+vector registers while all triangles pass by; on CUDA a thread takes one.
 """
 
 from __future__ import annotations
@@ -19,96 +13,19 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.device import forms, native
-from shadow_tracer.gpu.device.counters import EXACT, LEAF_TESTS, RETESTED
-from shadow_tracer.gpu.exact.decision import MAGNITUDE_FLOOR, decide, is_ray, ray_magnitude
+from shadow_tracer.gpu.accelerators.walker import Walk, Walker
+from shadow_tracer.gpu.device.counters import EXACT, RETESTED
+from shadow_tracer.gpu.exact.decision import decide, is_ray
 from shadow_tracer.gpu.exact.determinant import determinant_sign
-from shadow_tracer.gpu.exact.light_frame import PENDING, SHADOWED
+from shadow_tracer.gpu.exact.light_frame import SHADOWED
 from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.visibility.queue import test_everything
 
 
-@wp.kernel(enable_backward=False)
-def test_all_filtered(
-    attempt: int,
-    triangle_count: int,
-    rays: wp.array(dtype=wp.vec4),
-    records: wp.array2d(dtype=wp.vec4),
-    queue: wp.array(dtype=wp.vec2i),
-    queue_count: wp.array(dtype=int),
-    resume: wp.array(dtype=int),
-    states: wp.array(dtype=wp.uint8),
-    counters: wp.array2d(dtype=wp.int64),
-):
-    i = wp.tid()
-    state = states[i]
-    ray = rays[i]
-    if not is_ray(state, ray) or (attempt > 0 and state != wp.uint8(PENDING)):
-        return
-    queued = int(0)
-    if attempt == 2:
-        queued = resume[i]
-    found = test_everything(i, ray, ray_magnitude(ray), queued, 0, triangle_count, records, queue, queue_count)
-    if found[0] == PENDING:
-        resume[i] = found[1]
-    states[i] = wp.uint8(found[0])
-    wp.atomic_add(counters, i & 63, LEAF_TESTS, wp.int64(found[2]))
+@wp.struct
+class Structure:
+    """None."""
 
-
-# Samples per thread of the vectorised loop; their coordinates stay in the first-level cache.
-_BLOCK = 256
-native.constants(BRUTE_FORCE_BLOCK=_BLOCK)
-
-
-@native.func_native("accelerators/brute_force/block.h", calls="BruteForce::block")
-def test_block(
-    first: int,
-    count: int,
-    attempt: int,
-    triangle_count: int,
-    floor_: float,
-    leaf_tests: int,
-    rays: wp.array(dtype=wp.vec4),
-    records: wp.array2d(dtype=wp.vec4),
-    queue: wp.array(dtype=wp.vec2i),
-    queue_count: wp.array(dtype=int),
-    resume: wp.array(dtype=int),
-    states: wp.array(dtype=wp.uint8),
-    counters: wp.array2d(dtype=wp.int64),
-):
-    """``test_all_filtered`` for the samples from ``first`` on, up to 256 of them, vectorised over samples."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
-def test_all_blocks(
-    count: int,
-    attempt: int,
-    triangle_count: int,
-    rays: wp.array(dtype=wp.vec4),
-    records: wp.array2d(dtype=wp.vec4),
-    queue: wp.array(dtype=wp.vec2i),
-    queue_count: wp.array(dtype=int),
-    resume: wp.array(dtype=int),
-    states: wp.array(dtype=wp.uint8),
-    counters: wp.array2d(dtype=wp.int64),
-):
-    first = wp.tid() * _BLOCK
-    test_block(
-        first,
-        count,
-        attempt,
-        triangle_count,
-        MAGNITUDE_FLOOR,
-        LEAF_TESTS,
-        rays,
-        records,
-        queue,
-        queue_count,
-        resume,
-        states,
-        counters,
-    )
+    unused: int
 
 
 @wp.kernel(enable_backward=False)
@@ -147,69 +64,26 @@ def test_all_float64(
     wp.atomic_add(counters, i & 63, EXACT, wp.int64(exact))
 
 
-class BruteForce:
+class BruteForce(Walker):
     """The ``brute_force`` pipeline."""
 
-    recordable = False
-    lights_together = 1
-    keeps_rays = False
+    walk = Walk("accelerators/brute_force/walk.h", Structure, lanes=16)
 
     def __init__(self, variant: str, context: Context) -> None:
-        self._variant = variant
-        self._context = context
+        super().__init__(context)
+        self._exact = variant == "float64"
+        self.structure = Structure()
 
     def follow(self) -> None:
-        """Nothing is kept between frames."""
+        """Nothing is made of the scene."""
 
-    def prepare(self, work: Pass) -> None:
-        """Records of the light; for float64 only to count the degenerate triangles."""
-        with self._context.stages.stage("setup"):
-            self._context.records.prepare(work.light)
-
-    def trace(self, work: Pass) -> None:
-        """Test every ray of the light against every triangle."""
-        frame, light, attempt = work.light, work.first, work.attempt
-        buffers, scene, stages = self._context.frame, self._context.scene, self._context.stages
-        if self._variant == "float64":
-            with stages.stage("trace"):
-                wp.launch(
-                    test_all_float64,
-                    dim=buffers.count,
-                    inputs=[
-                        frame.light,
-                        int(self._context.records.front_face_culling),
-                        scene.triangle_count,
-                        buffers.samples,
-                        scene.vertices,
-                        scene.triangles,
-                        buffers.rays,
-                        buffers.states_of(light),
-                        buffers.counters,
-                    ],
-                    device=buffers.device,
-                )
+    def show(self, work: Pass) -> None:
+        """Show every ray of the light every triangle."""
+        if not self._exact:
+            super().show(work)
             return
-        arrays = [
-            buffers.rays,
-            self._context.records.of(light),
-            buffers.queue,
-            buffers.queue_count_of[light],
-            buffers.resume,
-            buffers.states_of(light),
-            buffers.counters,
-        ]
-        with stages.stage("trace"):
-            if self._variant == "filtered" and forms.wide(buffers.device):
-                blocks = -(-buffers.count // _BLOCK)
-                inputs = [buffers.count, attempt, scene.triangle_count, *arrays]
-                wp.launch(test_all_blocks, dim=blocks, inputs=inputs, device=buffers.device)
-            else:
-                inputs = [attempt, scene.triangle_count, *arrays]
-                wp.launch(test_all_filtered, dim=buffers.count, inputs=inputs, device=buffers.device)
-
-    def learn(self, counters: dict[str, int]) -> None:
-        """Nothing to adapt."""
-
-    def nbytes(self) -> int:
-        """No buffers of its own."""
-        return 0
+        buffers, scene, records = self._context.frame, self._context.scene, self._context.records
+        inputs = [work.light.light, int(records.front_face_culling), scene.triangle_count, buffers.samples]
+        inputs += [scene.vertices, scene.triangles, buffers.rays, buffers.states_of(work.first), buffers.counters]
+        with self._context.stages.stage("trace"):
+            wp.launch(test_all_float64, dim=buffers.count, inputs=inputs, device=buffers.device)

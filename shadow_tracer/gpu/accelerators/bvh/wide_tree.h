@@ -1,27 +1,24 @@
 // cpu
-// needs: accelerators/bvh/search.h accelerators/bvh/slabs.h@8
+// needs: query accelerators/segment.h accelerators/bvh/hints.h accelerators/bvh/slabs.h@8
 // constants: TREE_WIDTH
+// arguments: Structure structure
 // The tree with eight children per node; see wide_tree.py.
-struct WideTree {
+struct Walk1 {
     enum { DEPTH = 256, BOUNDS = 6 * TREE_WIDTH, LINKS = 2 * TREE_WIDTH, INNER = 0, NONE = -1 };
 
-    static inline Search::Found search(wp::uint64 bvh, const wp::array_t<float>& bounds, const wp::array_t<int>& links,
-                                       const wp::vec3& origin, const wp::vec3& direction, float longest,
-                                       const wp::array_t<wp::vec4>& records, const wp::vec4& ray, float magnitude,
-                                       int count, int skip) {
-        const wp::vec3 inverse(1.0f / direction[0], 1.0f / direction[1], 1.0f / direction[2]);
-        const int* primitives = wp::bvh_get(bvh).primitive_indices;
-        Search search = { primitives, (const float*)records.data, ray, magnitude, count, skip };
-        Search::Found result;
+    // False if the stack does not hold the tree.
+    static inline bool descend(const Structure& structure, const Segment& segment, Query1& query) {
+        const wp::vec3 inverse(1.0f / segment.direction[0], 1.0f / segment.direction[1], 1.0f / segment.direction[2]);
+        const int* primitives = wp::bvh_get(structure.bvh).primitive_indices;
         int stack[DEPTH];
         int top = 0, node = 0;
         for (;;) {
-            ++search.nodes;
-            const Real8* bound = (const Real8*)(bounds.data + BOUNDS * (size_t)node);
-            const int* link = links.data + LINKS * (size_t)node;
+            ++query.nodes;
+            const Real8* bound = (const Real8*)(structure.bounds.data + BOUNDS * (size_t)node);
+            const int* link = structure.links.data + LINKS * (size_t)node;
             const int* count = link + TREE_WIDTH;
             Slabs8 slabs;
-            slabs.enter(bound, bound + 3, origin, inverse, longest);
+            slabs.enter(bound, bound + 3, segment.origin, inverse, segment.longest);
             float in[TREE_WIDTH];
             Lanes8::store(in, slabs.in);
             int next = -1;
@@ -30,14 +27,15 @@ struct WideTree {
                 if (!(slabs.met >> k & 1) || count[k] == NONE)
                     continue;
                 if (count[k] != INNER) {
-                    if (search.leaf(link[k], link[k] + count[k], result))
-                        return search.done(result);
+                    for (int j = link[k]; j < link[k] + count[k]; ++j)
+                        if (Leaf::visit(primitives[j], query))
+                            return true;
                     continue;
                 }
                 const bool nearer = in[k] < nearest;
                 if (next >= 0) {
                     if (top == DEPTH)
-                        return search.too_deep(result);
+                        return false;
                     stack[top++] = nearer ? next : link[k];
                 }
                 if (nearer) {
@@ -47,11 +45,19 @@ struct WideTree {
             }
             if (next < 0) {
                 if (top == 0)
-                    break;
+                    return true;
                 next = stack[--top];
             }
             node = next;
         }
-        return search.done(result);
+    }
+    static inline void walk(const Structure& structure, Query1& query) {
+        Segment segment;
+        const int place = segment.place(query.sample(), query.light(), structure.box);
+        if (place == Segment::MISSES || (place == Segment::MEETS && Hints::enough(structure, query)))
+            return;
+        if (place == Segment::TOO_FAR || !descend(structure, segment, query))
+            query.everything();
+        Hints::leave(structure, query);
     }
 };

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.bvh.binary_tree import FOUND, Candidates
 from shadow_tracer.gpu.device import native
 
 WIDTH = 8
@@ -31,27 +30,3 @@ def collapse_tree(bvh: wp.uint64, bounds: wp.array(dtype=float), links: wp.array
 def collapse(bvh: wp.uint64, bounds: wp.array(dtype=float), links: wp.array(dtype=int), count: wp.array(dtype=int)):
     """One thread: ``count[0]`` becomes the number of nodes, or -1 if they do not fit."""
     count[0] = collapse_tree(bvh, bounds, links)
-
-
-# The CPU alone walks this form. For CUDA the body is left out, or its stack would cost every thread a kilobyte; it says
-# "too deep" there, which makes the caller look at every triangle.
-@native.func_native(
-    "accelerators/bvh/wide_tree.h",
-    calls="WideTree::search",
-    otherwise=f"wp::vec_t<{4 + FOUND}, wp::int32> found; found[0] = -1; return found;",
-)
-def search_wide(
-    bvh: wp.uint64,
-    bounds: wp.array(dtype=float),
-    links: wp.array(dtype=int),
-    origin: wp.vec3,
-    direction: wp.vec3,
-    longest: float,
-    records: wp.array2d(dtype=wp.vec4),
-    ray: wp.vec4,
-    magnitude: float,
-    count: int,
-    skip: int,
-) -> Candidates:
-    """As ``binary_tree.search``."""
-    ...

@@ -7,7 +7,7 @@ all children of a node, or all rays of a leaf; on CUDA a leaf is a warp's 32 ray
 
 A node bounds r = h/|h|_inf by centre and half extent, and the depth t by its range (``light_space.py``): every test is
 linear in it. There is no angle, no wide-angle case and no single-ray case, and a node whose rays lie on several cube
-faces is just a large box. Directions are within 3 u of exact (``light_space.is_wild`` sees to it); the half extent is
+faces is just a large box. Directions are within 3 u of exact (``admission.py`` sees to it); the half extent is
 padded by 8 u at each level for that and for its own roundings, depths by 8 u relative.
 
 Boxes lie in groups of siblings, each quantity of all siblings together: [group][cu cv cw eu ev ew tmin tmax][sibling].
@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.admission import Admission
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.participants import Participants
 from shadow_tracer.gpu.accelerators.ray_keys import CURVE_BITS, RayOrder
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.exact.light_frame import LightFrame
@@ -149,7 +149,7 @@ def sweep_cells(keys: wp.array(dtype=int), tree: RayTree):
 class RayTreeBuffers:
     """Owns the tree's memory and builds it."""
 
-    def __init__(self, context: Context, order: RayOrder, participants: Participants, wide: bool) -> None:
+    def __init__(self, context: Context, order: RayOrder, admission: Admission, wide: bool) -> None:
         self._context = context
         self._order = order
         self.wide = wide
@@ -176,7 +176,7 @@ class RayTreeBuffers:
         tree.offset = wp.array(self._offsets, dtype=int, device=device)
         tree.table = wp.empty((FACES << (2 * _MOST_TABLE_BITS)) + 1, dtype=int, device=device)
         tree.fit = order.fit
-        tree.counts = participants.counts
+        tree.counts = admission.counts
         tree.visits = wp.empty(0, dtype=int, device=device)
         self.tree = tree
 

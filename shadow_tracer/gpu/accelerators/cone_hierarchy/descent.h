@@ -45,11 +45,10 @@ struct Descent {
                                    from[4 * size + j], yes))
                 continue;
             const int sample = tree.order.data[(leaf << tree.log_leaf) + j];
-            if (!yes) {
-                Settle::pair(answers, sample, number);
+            if (yes)
+                answers.states.data[sample] = SHADOWED;
+            else if (!Settle::pair(answers, sample, number))
                 continue;
-            }
-            answers.states.data[sample] = SHADOWED;
             const int bit = (int)(1u << j);
             if (wp::atomic_and(&tree.live.data[leaf], ~bit) == bit)
                 finish(0, leaf, NODE_DONE);

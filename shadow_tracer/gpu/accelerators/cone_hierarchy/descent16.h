@@ -53,7 +53,8 @@ struct Descent {
         yes &= found;
         hide(leaf, yes);
         for (int left = found & ~yes; left; left &= left - 1)
-            Settle::pair(answers, tree.order.data[BRANCH * leaf + __builtin_ctz(left)], number);
+            if (Settle::pair(answers, tree.order.data[BRANCH * leaf + __builtin_ctz(left)], number))
+                yes |= left & -left;
         if (!yes)
             return;
         live &= ~yes;

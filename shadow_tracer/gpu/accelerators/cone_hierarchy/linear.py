@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.admission import Admission
 from shadow_tracer.gpu.accelerators.cone_hierarchy import descent
 from shadow_tracer.gpu.accelerators.cone_hierarchy.boxes import RayTreeBuffers
-from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.participants import Participants
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Traits
 from shadow_tracer.gpu.accelerators.ray_keys import RayOrder
 from shadow_tracer.gpu.device import forms
-from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.occluders.corners import Corners
 from shadow_tracer.gpu.samples.passes import Pass
 
@@ -19,54 +18,45 @@ from shadow_tracer.gpu.samples.passes import Pass
 _BIG_THREADS_CUDA = 131072
 
 
-class LinearHierarchy:
+class LinearHierarchy(Accelerator):
     """The pipeline's variant ``linear``; see ``boxes.py`` and ``descent.py``."""
-
-    lights_together = 1
-    keeps_rays = False
 
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
-        self._participants = Participants(context)
+        self._admission = Admission(context)
         self._corners = context.shared.take(Corners, lambda: Corners(context.records))
-        self._wide = forms.wide(context.frame.device) and variant == "linear"
-        self._order = RayOrder(context, self._participants, hilbert=False, packed=self._wide)
-        self.recordable = not self._wide
-        self._buffers = RayTreeBuffers(context, self._order, self._participants, self._wide)
+        self._wide = forms.wide(context.frame.device)
+        self._order = RayOrder(context, self._admission, hilbert=False, packed=self._wide)
+        self.traits = Traits(recordable=not self._wide)
+        self._buffers = RayTreeBuffers(context, self._order, self._admission, self._wide)
         capacity = 1 if self._wide else context.frame.bounds.max_triangles
         self._big = wp.empty(capacity, dtype=int, device=context.frame.device)
         self._big_count = wp.zeros(1, dtype=int, device=context.frame.device)
 
-    def follow(self) -> None:
-        """Nothing is kept of the scene."""
-
-    def prepare(self, work: Pass) -> None:
+    def aim(self, work: Pass) -> None:
         """Records and corners of the light."""
         with self._context.stages.stage("setup"):
             self._corners.make(work.light, self._context.records.prepare(work.light))
 
-    def trace(self, work: Pass) -> None:
+    def show(self, work: Pass) -> None:
         """Build the tree of the light's rays and send all triangles through it."""
         light, stages = work.first, self._context.stages
         with stages.stage("sort"):
-            self._participants.choose(work)
+            self._admission.admit(work)
             self._order.sort(light)
         with stages.stage("build"):
             self._buffers.build(light)
         with stages.stage("trace"):
             self._descend(work)
-            self._participants.finish(work)
+            self._admission.test_wild(work)
 
     def _descend(self, work: Pass) -> None:
         light = work.first
         buffers, scene, tree = self._context.frame, self._context.scene, self._buffers.tree
         device = buffers.device
-        occluders = Occluders()
-        occluders.count = scene.triangle_count
-        occluders.triangles = scene.triangles
+        occluders = self._context.occluders(work)
         occluders.corners = self._corners.of(light)
-        occluders.records = self._context.records.of(light)
-        inputs = [buffers.light_frame_of[light], tree, occluders, self._participants.answers(work)]
+        inputs = [buffers.light_frame_of[light], tree, occluders, self._context.answers(work)]
         if self._wide:
             wp.launch(descent.descend_wide, dim=1, inputs=inputs, device=device)
             return
@@ -77,10 +67,7 @@ class LinearHierarchy:
         wp.launch(descent.descend_big, dim=threads, inputs=[threads, *inputs], device=device)
         wp.launch(descent.write_accepted, dim=buffers.count, inputs=[tree, buffers.states_of(light)], device=device)
 
-    def learn(self, counters: dict[str, int]) -> None:
-        """Nothing to adapt."""
-
     def nbytes(self) -> int:
         """Bytes on the device."""
-        parts = (self._participants, self._order, self._buffers)
+        parts = (self._admission, self._order, self._buffers)
         return sum(part.nbytes() for part in parts) + int(self._big.capacity + self._big_count.capacity)

@@ -129,7 +129,6 @@ def make_block(
 @wp.kernel(enable_backward=False)
 def find_candidates(
     lights: wp.array(dtype=LightFrame),
-    attempt: int,
     turn: wp.vec2i,
     tiles: Tiles,
     wild: wp.array(dtype=int),
@@ -141,11 +140,11 @@ def find_candidates(
     ends: wp.array(dtype=int),
 ):
     """One thread, the ``turn[0]``-th of ``turn[1]`` shares that do so: boxes, the clusters of each light of the pass
-    (``ends``: where those of each place end), and their records. Rays outside of the tiles, and those of further
-    attempts, ask for all triangles."""
+    (``ends``: where those of each place end), and their records. Rays outside of the tiles ask
+    for all triangles."""
     make_all_boxes(turn, vertices, triangles, clusters)
     everything = int(0)
-    if attempt > 0 or wild[1] > 0:
+    if wild[1] > 0:
         everything = 1
     first = int(0)
     for place in range(tiles.lights):

@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.admission import IN_TREE
 from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     ALL_BLOCKS,
     ALL_COLUMNS,
@@ -34,7 +35,6 @@ from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     make_lookup,
     no_column,
 )
-from shadow_tracer.gpu.accelerators.participants import IN_TREE
 from shadow_tracer.gpu.accelerators.ray_keys import cubified
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.extents import STRIPES, clear_extents, joined, widen

@@ -9,9 +9,9 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.light_grid.binning import Bins
 from shadow_tracer.gpu.accelerators.light_grid.tiles import ALL_BLOCKS, Tiles
 from shadow_tracer.gpu.device.counters import ACCEPTED, ENTRIES, LARGEST_TILE, LEAF_TESTS, PASSES, SPLITS
-from shadow_tracer.gpu.exact.decision import NO, YES, filter_pair
+from shadow_tracer.gpu.exact.decision import NO, filter_pair
 from shadow_tracer.gpu.exact.faces import Occluders
-from shadow_tracer.gpu.exact.light_frame import SHADOWED
+from shadow_tracer.gpu.exact.light_frame import LIT, SHADOWED
 from shadow_tracer.gpu.visibility.answers import Answers, settle
 
 CHUNK = wp.constant(256)
@@ -95,7 +95,7 @@ def trace_chunks(warps: int, tile_places: int, tiles: Tiles, occluders: Occluder
         sample = tiles.order[32 * tile + lane]
         live = ((tiles.live[tile] >> lane) & 1) != 0
         if live:
-            live = answers.states[sample] != wp.uint8(SHADOWED)
+            live = answers.states[sample] == wp.uint8(LIT)
         if live:
             base = (2 * tile + (lane >> 4)) * 80 + (lane & 15)
             ray = wp.vec4(tiles.rays[base], tiles.rays[base + 16], tiles.rays[base + 32], tiles.rays[base + 48])
@@ -104,10 +104,8 @@ def trace_chunks(warps: int, tile_places: int, tiles: Tiles, occluders: Occluder
                 record = bins.sorted[k]
                 answer = filter_pair(ray, magnitude, occluders.records, record)
                 tests += 1
-                if answer != NO:
-                    settle(sample, record % occluders.records_apart, answer, answers)
                 k += 1
-                if answer == YES:
+                if answer != NO and settle(sample, record % occluders.records_apart, answer, answers):
                     k = end
     if tests > 0:
         wp.atomic_add(answers.counters, thread & 63, LEAF_TESTS, wp.int64(tests))

@@ -37,7 +37,7 @@ from shadow_tracer.gpu.accelerators.paper_hierarchy.cones import ConeTree, Leave
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import ACCEPTED, LEAF_TESTS, NODES_VISITED, PASSES, PEAK_QUEUE
 from shadow_tracer.gpu.exact.decision import NO, filter_pair, ray_magnitude
-from shadow_tracer.gpu.exact.light_frame import SHADOWED
+from shadow_tracer.gpu.exact.light_frame import LIT, SHADOWED
 from shadow_tracer.gpu.exact.light_space import LightSpace
 from shadow_tracer.gpu.visibility.answers import Answers, settle
 
@@ -185,14 +185,14 @@ def meet_rays(
         if leaf >= 0:
             sample = leaf_sample(leaves, leaf)
         if sample >= 0:
-            if answers.states[sample] != wp.uint8(SHADOWED):
+            if answers.states[sample] == wp.uint8(LIT):
                 ray = leaves.rays[sample]
                 answer = filter_pair(ray, ray_magnitude(ray), triangles.records, triangle)
                 tests += 1
                 if answer != NO:
                     settle(sample, triangle, answer, answers)
-                if answers.states[sample] != wp.uint8(SHADOWED):
-                    open += 1
+            if answers.states[sample] != wp.uint8(SHADOWED):
+                open += 1
     if open == 0 and work.accept != 0:
         finish(tree, 1, node)
     return tests

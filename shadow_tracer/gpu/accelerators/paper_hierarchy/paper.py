@@ -28,11 +28,11 @@ from typing import NamedTuple
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.admission import Admission
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 from shadow_tracer.gpu.accelerators.paper_hierarchy.breadth_first import BreadthFirst, Triangles
 from shadow_tracer.gpu.accelerators.paper_hierarchy.cones import ConeTree, Leaves
 from shadow_tracer.gpu.accelerators.paper_hierarchy.largest import LargeOccluders
-from shadow_tracer.gpu.accelerators.participants import Participants
 from shadow_tracer.gpu.accelerators.ray_keys import RayOrder
 from shadow_tracer.gpu.exact.light_space import make_light_space
 from shadow_tracer.gpu.occluders.corners import Corners
@@ -61,20 +61,16 @@ VARIANTS = tuple(_RECIPES)
 _ALL, _LARGE, _OTHERS = 0, 1, 2
 
 
-class PaperHierarchy:
+class PaperHierarchy(Accelerator):
     """One of the paper's variants of the ``cone_hierarchy`` pipeline."""
-
-    recordable = False
-    lights_together = 1
-    keeps_rays = False
 
     def __init__(self, variant: str, context: Context) -> None:
         self._recipe = recipe = _RECIPES[variant]
         self._context = context
         frame, scene = context.frame, context.scene
         device = frame.device
-        self._participants = Participants(context)
-        self._order = RayOrder(context, self._participants, hilbert=True) if recipe.ordered else None
+        self._admission = Admission(context)
+        self._order = RayOrder(context, self._admission, hilbert=True) if recipe.ordered else None
         self._corners = context.shared.take(Corners, lambda: Corners(context.records))
         self._cones = ConeTree(context)
         self._traversal = BreadthFirst(context, self._cones.capacity_levels, recipe.accept)
@@ -82,9 +78,9 @@ class PaperHierarchy:
         self._leaves = Leaves()
         self._leaves.ordered = int(recipe.ordered)
         self._leaves.rays = frame.rays
-        self._leaves.group = self._participants.group
-        self._leaves.order = self._order.order if self._order else self._participants.counts
-        self._leaves.counts = self._participants.counts
+        self._leaves.group = self._admission.groups
+        self._leaves.order = self._order.order if self._order else self._admission.counts
+        self._leaves.counts = self._admission.counts
         self._triangles = Triangles()
         self._triangles.spheres = int(recipe.spheres)
         self._triangles.indices = scene.triangles
@@ -94,12 +90,12 @@ class PaperHierarchy:
     def follow(self) -> None:
         """Nothing is kept between frames."""
 
-    def prepare(self, work: Pass) -> None:
+    def aim(self, work: Pass) -> None:
         """Records and corners of the light."""
         with self._context.stages.stage("setup"):
             self._corners.make(work.light, self._context.records.prepare(work.light))
 
-    def trace(self, work: Pass) -> None:
+    def show(self, work: Pass) -> None:
         """Make the tree over the rays of the light and send the triangles through it."""
         frame, light = work.light, work.first
         context, recipe = self._context, self._recipe
@@ -112,19 +108,16 @@ class PaperHierarchy:
                 inputs = (self._triangles.corners, scene.triangles, self._triangles.records)
                 self._large.choose(scene.triangle_count, *inputs)
         with stages.stage("choose"):
-            self._participants.choose(work)
+            self._admission.admit(work)
             self._cones.shape(recipe.ordered)
         for part in (_LARGE, _OTHERS) if recipe.two_pass else (_ALL,):
             self._pass(work, part)
         with stages.stage("rest"):
-            self._participants.finish(work)
-
-    def learn(self, counters: dict[str, int]) -> None:
-        """Nothing to adapt."""
+            self._admission.test_wild(work)
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        parts = (self._participants, self._cones, self._traversal, self._large)
+        parts = (self._admission, self._cones, self._traversal, self._large)
         return sum(part.nbytes() for part in parts) + (self._order.nbytes() if self._order else 0)
 
     def _pass(self, work: Pass, part: int) -> None:
@@ -138,7 +131,7 @@ class PaperHierarchy:
             self._cones.build(self._triangles.space, self._leaves, states)
         with stages.stage("traverse"):
             self._triangles.part = part
-            answers = self._participants.answers(work)
+            answers = self._context.answers(work)
             self._traversal.run(self._triangles, context.scene.triangle_count, self._cones, self._leaves, answers)
         if self._recipe.accept:
             with stages.stage("output"):

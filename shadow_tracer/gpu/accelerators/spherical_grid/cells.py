@@ -222,10 +222,9 @@ def note_parts(
     capacity = wp.int64(lists.keys.shape[0] // 2)
     total = lists.sums[count - 1]
     parts[0] = int(wp.min((total + capacity - wp.int64(1)) / capacity, wp.int64(2147483647)))
-    if row >= 0:
-        counters[row, ENTRIES] = total
-        counters[row, SPLITS] = wp.int64(items[0] - items[1])
-        counters[row, LARGEST_TILE] = wp.int64(0)
+    counters[row, ENTRIES] = total
+    counters[row, SPLITS] = wp.int64(items[0] - items[1])
+    counters[row, LARGEST_TILE] = wp.int64(0)
 
 
 @wp.kernel(enable_backward=False)
@@ -272,7 +271,7 @@ class CellLists:
         self._lists.keys, self._lists.values = self.keys, self.values
 
     def count(self, work: Pass, occluders: Occluders) -> None:
-        """Count the entries of an attempt and tell how many parts they take."""
+        """Count the entries and tell how many parts they take."""
         frame, triangles, lists = self._context.frame, self._context.scene.triangle_count, self._lists
         device, tiles = frame.device, self._rays.tiles
         inputs = [frame.light_frame_of[work.first], 0, wp.int64(0), occluders, tiles, lists]
@@ -281,18 +280,17 @@ class CellLists:
             wp.launch(scan_counts, dim=1, inputs=[triangles, lists], device=device)
         else:
             wp.utils.array_scan(lists.counts[:triangles], lists.sums[:triangles], inclusive=True)
-        row = work.first % len(frame.counters) if work.attempt == 0 else -1
+        row = work.first % len(frame.counters)
         inputs = [row, triangles, lists, self._rays.counts, frame.parts_of[work.first], frame.counters]
         wp.launch(note_parts, dim=1, inputs=inputs, device=device)
-        if row >= 0:
-            wp.launch(note_largest, dim=self._rays.tile_count, inputs=[row, tiles, frame.counters], device=device)
+        wp.launch(note_largest, dim=self._rays.tile_count, inputs=[row, tiles, frame.counters], device=device)
 
-    def emit(self, work: Pass, occluders: Occluders) -> None:
-        """Make the list of part ``work.part``."""
+    def emit(self, work: Pass, part: int, occluders: Occluders) -> None:
+        """Make the list of part number ``part``."""
         frame, triangles, lists = self._context.frame, self._context.scene.triangle_count, self._lists
         device, tiles, absent = frame.device, self._rays.tiles, self._rays.tile_count * self._cells
         capacity = frame.bounds.grid_entries
-        skipped = work.part * capacity
+        skipped = part * capacity
         entries = capacity
         if self._fixed:
             self.keys.fill_(absent)

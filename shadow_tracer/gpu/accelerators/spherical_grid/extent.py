@@ -4,7 +4,7 @@
 Exactly, such a ray's direction is a sum of non-negative multiples of h(a), h(b), h(c). Corners are stored in float32:
 if |h| >= 2^-18 R (``corners.py``), their directions are within 2^-23 of exact. Let k > 0 be the least cosine between a
 corner and their common middle direction, so that a sum of multiples of unit corners with the total 1 has at least the
-length k. Then the stored ray, itself within 3 u of exact (``light_space.is_wild``), is within eta = 2^-20 / k of some
+length k. Then the stored ray, itself within 3 u of exact (``admission.py``), is within eta = 2^-20 / k of some
 direction x of the *stored* corners' cone, and
 
 - elevation: V of x is a mean of the unit corners' V, divided by something between k and 1. So sin(elevation) is at

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.admission import IN_TREE, Admission
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.participants import IN_TREE, Participants
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.sort import KeySort
 from shadow_tracer.gpu.exact.light_frame import SHADOWED, LightFrame
@@ -302,10 +302,8 @@ class TiledRays:
     elevation, t) by ray.
     """
 
-    def __init__(
-        self, context: Context, participants: Participants, rays_per_tile: int, cells: int, threshold: int
-    ) -> None:
-        self._context, self._participants = context, participants
+    def __init__(self, context: Context, admission: Admission, rays_per_tile: int, cells: int, threshold: int) -> None:
+        self._context, self._admission = context, admission
         self._rays_per_tile, self._cells, self.threshold = rays_per_tile, cells, threshold
         device, rays = context.frame.device, context.frame.bounds.max_rays
         self._sort = KeySort(rays, device)
@@ -345,7 +343,7 @@ class TiledRays:
         """Measure, map, sort and split the rays that take part and are not known to be in shadow."""
         frame, light = self._context.frame, self._context.frame.light_frame_of[work.first]
         device, count, absent = frame.device, frame.count, self.tile_count
-        states, group = frame.states_of(work.first), self._participants.group
+        states, group = frame.states_of(work.first), self._admission.groups
         wp.launch(clear_limits, dim=6 * _STRIPES, inputs=[self._limits], device=device)
         inputs = [light, frame.rays, states, group, self.polar, self._limits]
         wp.launch(measure_rays, dim=count, inputs=inputs, device=device)

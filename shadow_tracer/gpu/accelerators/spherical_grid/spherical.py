@@ -11,17 +11,19 @@ items need not know of each other.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.participants import Participants
+from shadow_tracer.gpu.accelerators.admission import Admission
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Traits
 from shadow_tracer.gpu.accelerators.spherical_grid.cells import CellLists
 from shadow_tracer.gpu.accelerators.spherical_grid.rays import TiledRays, Tiles, cell_of
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import LEAF_TESTS, PASSES
-from shadow_tracer.gpu.exact.decision import NO, YES, filter_pair, ray_magnitude
+from shadow_tracer.gpu.exact.decision import NO, filter_pair, ray_magnitude
 from shadow_tracer.gpu.exact.faces import Occluders
-from shadow_tracer.gpu.exact.light_frame import SHADOWED
+from shadow_tracer.gpu.exact.light_frame import LIT
 from shadow_tracer.gpu.occluders.corners import Corners
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.answers import Answers, settle
@@ -61,7 +63,7 @@ def trace_items(
     j = first + (thread - item * lanes)
     while j < items[item + 1]:
         i = order[j]
-        if answers.states[i] != wp.uint8(SHADOWED):
+        if answers.states[i] == wp.uint8(LIT):
             ray = rays[i]
             magnitude = ray_magnitude(ray)
             last_cell = tile * grid.cells + cell_of(grid, polar[i][2])
@@ -71,16 +73,14 @@ def trace_items(
                 answer = filter_pair(ray, magnitude, records, triangle)
                 tests += 1
                 e += 1
-                if answer != NO:
-                    settle(i, triangle, answer, answers)
-                    if answer == YES:
-                        e = end
+                if answer != NO and settle(i, triangle, answer, answers):
+                    e = end
         j += lanes
     if tests > 0:
         wp.atomic_add(answers.counters, thread & 63, LEAF_TESTS, wp.int64(tests))
 
 
-class SphericalGrid:
+class SphericalGrid(Accelerator):
     """The pipeline's variant ``spherical``.
 
     Args:
@@ -93,9 +93,6 @@ class SphericalGrid:
             long it is.
     """
 
-    lights_together = 1
-    keeps_rays = False
-
     def __init__(
         self,
         variant: str,
@@ -106,52 +103,59 @@ class SphericalGrid:
         fixed: bool | None = None,
     ) -> None:
         self._context = context
-        self.recordable = not forms.wide(context.frame.device) if fixed is None else fixed
-        self._participants = Participants(context)
+        self.traits = Traits(recordable=not forms.wide(context.frame.device) if fixed is None else fixed)
+        self._admission = Admission(context)
         self._corners = context.shared.take(Corners, lambda: Corners(context.records))
-        self.rays = TiledRays(context, self._participants, rays_per_tile, cells, threshold)
-        self.lists = CellLists(context, self.rays, cells, self.recordable)
+        self.rays = TiledRays(context, self._admission, rays_per_tile, cells, threshold)
+        self.lists = CellLists(context, self.rays, cells, self.traits.recordable)
 
-    def follow(self) -> None:
-        """Nothing is kept of the scene."""
-
-    def prepare(self, work: Pass) -> None:
+    def aim(self, work: Pass) -> None:
         """Records and corners of the light."""
         with self._context.stages.stage("setup"):
             self._corners.make(work.light, self._context.records.prepare(work.light))
 
-    def trace(self, work: Pass) -> None:
+    def show(self, work: Pass) -> None:
         """Sort rays and triangles into the grid and test what meets there."""
-        stages, light = self._context.stages, work.first
-        occluders = Occluders()
-        occluders.count = self._context.scene.triangle_count
-        occluders.triangles = self._context.scene.triangles
-        occluders.corners = self._corners.of(light)
-        occluders.records = self._context.records.of(light)
-        if work.part == 0:
-            with stages.stage("sort"):
-                self._participants.choose(work)
-                self.rays.make(work)
-            with stages.stage("count"):
-                self.lists.count(work, occluders)
+        self._begin(work)
+        self._part(work, 0)
+        with self._context.stages.stage("trace"):
+            self._admission.test_wild(work)
+
+    def more(self, work: Pass) -> Iterator[None]:
+        """A part of the entries after the other."""
+        self._begin(work)
+        for part in range(int(self._context.frame.parts_of[work.first].numpy()[0])):
+            self._part(work, part)
+            yield
+
+    def _begin(self, work: Pass) -> None:
+        stages = self._context.stages
+        with stages.stage("sort"):
+            self._admission.admit(work)
+            self.rays.make(work)
+        with stages.stage("count"):
+            self.lists.count(work, self._occluders(work))
+
+    def _part(self, work: Pass, part: int) -> None:
+        stages = self._context.stages
         with stages.stage("build"):
-            self.lists.emit(work, occluders)
+            self.lists.emit(work, part, self._occluders(work))
         with stages.stage("trace"):
             self._trace_items(work)
-            if work.part == 0:
-                self._participants.finish(work)
+
+    def _occluders(self, work: Pass) -> Occluders:
+        occluders = self._context.occluders(work)
+        occluders.corners = self._corners.of(work.first)
+        return occluders
 
     def _trace_items(self, work: Pass) -> None:
         frame, rays, lists = self._context.frame, self.rays, self.lists
         lanes = 1 if forms.wide(frame.device) else rays.threshold
         inputs = [lanes, frame.rays, rays.polar, rays.keys, rays.order, rays.items, rays.counts, rays.tiles]
         inputs += [lists.begins, lists.keys, lists.values, self._context.records.of(work.first)]
-        inputs += [self._participants.answers(work)]
+        inputs += [self._context.answers(work)]
         wp.launch(trace_items, dim=rays.item_bound * lanes, inputs=inputs, device=frame.device)
-
-    def learn(self, counters: dict[str, int]) -> None:
-        """Nothing to adapt."""
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return self._participants.nbytes() + self.rays.nbytes() + self.lists.nbytes()
+        return self._admission.nbytes() + self.rays.nbytes() + self.lists.nbytes()

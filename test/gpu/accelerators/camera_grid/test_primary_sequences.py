@@ -40,7 +40,7 @@ def _steps(seed: int) -> list[tuple[tuple[Any, ...], Camera]]:
     return found
 
 
-@pytest.mark.parametrize("wide", [True, False], ids=["wide", "scalar"])
+@pytest.mark.parametrize("wide", [True, False], ids=["wide", "cuda_form"])
 @pytest.mark.parametrize("bounds", [_ROOMY, _TIGHT], ids=["roomy", "tight"])
 @pytest.mark.parametrize("byte", BYTES)
 def test_unlike_images(byte: int, bounds: Bounds, wide: bool, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,7 +57,7 @@ def test_unlike_images(byte: int, bounds: Bounds, wide: bool, monkeypatch: pytes
     assert hits > 5
 
 
-@pytest.mark.parametrize("wide", [True, False], ids=["wide", "scalar"])
+@pytest.mark.parametrize("wide", [True, False], ids=["wide", "cuda_form"])
 def test_nothing_is_read_that_the_image_has_not_written(wide: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     device, poison = wp.get_device("cpu"), Poison(monkeypatch, 0xCD)
     kept = PrimaryRays(device, _ROOMY, wide)

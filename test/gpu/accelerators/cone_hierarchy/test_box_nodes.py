@@ -20,6 +20,9 @@ from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_space import LightSpace, face_of
 from shadow_tracer.gpu.visibility.answers import Answers
 
+# The tree is that of a CUDA thread; the CPU's own is compared with it in test_sixteen_lanes.py.
+pytestmark = probe.in_cuda_form
+
 _ABSENT, _BESIDE, _REJECTED, _OPEN, _WHOLE = -1, -2, 0, 1, 2
 
 
@@ -78,7 +81,7 @@ def _outcome(device: str, name: str, seed: int) -> Outcome:
     rays, corners = bundles(np.random.default_rng(seed), light)
     points, triangles = rays.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)
     bounds = Bounds(len(triangles), len(points), 1, 64, 1)
-    tracer = ShadowTracer("cone_hierarchy", "linear_scalar", device=device, bounds=bounds)
+    tracer = ShadowTracer("cone_hierarchy", "linear", device=device, bounds=bounds)
     tracer.scene.put("mesh", corners.reshape(-1, 3), triangles)
     built = probe.ray_tree(tracer, points, light, 0.02)
     tree, frame, scene = built.tree, built.frame, built.scene

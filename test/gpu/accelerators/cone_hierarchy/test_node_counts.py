@@ -146,10 +146,13 @@ _CHUNK = 64 * 32
 def _in_chunks(device: str, variant: str) -> bool:
     """Whether large triangles are dealt to many threads, a chunk of the leaves each: then no thread sees the whole
     tree."""
-    return variant == "linear_scalar" or (variant == "linear" and not probe.wide(device))
+    return variant == "linear" and not probe.wide(device)
 
 
-@pytest.mark.parametrize("variant", ["precise_sea", "precise_eatp", "precise_seatp", "linear", "linear_scalar"])
+_accepting = probe.in_forms("variant", ["precise_sea", "precise_eatp", "precise_seatp", "linear"], ["linear"])
+
+
+@_accepting
 @pytest.mark.parametrize("size", [16, 64, 256])
 def test_a_wall_costs_log_n_nodes(tracers: Any, any_device: str, variant: str, size: int) -> None:
     """One of the wall's two triangles covers the view: it is accepted near the root, and no ray is tested."""
@@ -162,7 +165,7 @@ def test_a_wall_costs_log_n_nodes(tracers: Any, any_device: str, variant: str, s
     assert without["nodes_visited"] > size * size / 4 and without["leaf_tests"] >= size * size
 
 
-@pytest.mark.parametrize("variant", ["precise_sea", "precise_eatp", "precise_seatp", "linear", "linear_scalar"])
+@_accepting
 def test_a_diagonal_through_the_view_costs_its_length(tracers: Any, any_device: str, variant: str) -> None:
     """Nodes on the diagonal belong to both triangles and are accepted by neither: their number grows with the image's
     side, not with its area. Leaves of the CUDA form hold twice the rays."""

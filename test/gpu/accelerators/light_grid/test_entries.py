@@ -28,7 +28,7 @@ from shadow_tracer import (
 )
 
 _PIPELINE = "light_grid"
-_EVERY = pytest.mark.parametrize("variant", available_pipelines().get(_PIPELINE, ()))
+_EVERY = probe.in_forms("variant", available_pipelines()[_PIPELINE], ["packed"])
 
 Make = Callable[..., ShadowTracer]
 
@@ -39,7 +39,7 @@ def make() -> Make:
     made: dict[tuple[Any, ...], ShadowTracer] = {}
 
     def get(device: str, variant: str, **capacities: int) -> ShadowTracer:
-        key = (device, variant, *sorted(capacities.items()))
+        key = (device, probe.wide(device), variant, *sorted(capacities.items()))
         if key not in made:
             made[key] = _fresh(device, variant, **capacities)
         return probe.reset(made[key])
@@ -149,7 +149,7 @@ def test_few_entries_and_a_small_queue(make: Make, any_device: str, variant: str
     for _ in range(2):
         states, counters = _traced(cramped, view)
         np.testing.assert_array_equal(states, expected)
-        assert queue > 3 or counters["overflow_passes"] > 0
+        assert queue > 3 or probe.wide(any_device) or counters["overflow_passes"] > 0
     assert 0.2 < (expected == State.SHADOWED).mean() < 0.98
 
 
@@ -201,7 +201,7 @@ def test_a_wall_before_everything(make: Make, any_device: str, variant: str, lig
     frame = tracer.trace(view.depth, view.camera, view.lights, view.bias)
     states, counters = frame.state(light), frame.counters
     assert np.isin(states[view.depth > 0], [State.SHADOWED, State.OUTSIDE]).all() and counters["rays"] > 20
-    if variant.startswith("packed"):
+    if variant == "packed":
         assert counters["accepted"] > 0 and counters["leaf_tests"] == counters["retested"] == 0, counters
     tracer.scene.put("mesh", view.vertices, view.triangles)
     np.testing.assert_array_equal(tracer.trace(view.depth, view.camera, view.lights, view.bias).state(light), states)

@@ -147,13 +147,13 @@ def judge_all_wide(
 _MOST_RAYS, _MOST_TRIANGLES = 1024, len(SPREADS) * TRIANGLES
 
 
-def _tracer(device: str, variant: str) -> ShadowTracer:
-    return probe.reset(_shared(device, variant))
+def _tracer(device: str) -> ShadowTracer:
+    return probe.reset(_shared(device, probe.wide(device)))
 
 
 @cache
-def _shared(device: str, variant: str) -> ShadowTracer:
-    return ShadowTracer("light_grid", variant, device, Bounds(_MOST_TRIANGLES, _MOST_RAYS, 1, 64, 1))
+def _shared(device: str, wide: bool) -> ShadowTracer:
+    return ShadowTracer("light_grid", "packed", device, Bounds(_MOST_TRIANGLES, _MOST_RAYS, 1, 64, 1))
 
 
 def _scenes(name: str, seed: int) -> list[Any]:
@@ -191,8 +191,9 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
     count = len(corners)
     tracer.scene.put("mesh", corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
     tracer.occluded(points, light, bias)
-    work, way, wide = taken[0][0], pipeline._way, tracer.variant == "packed"
-    occluders, answers = way.occluders(work), pipeline._participants.answers(work)
+    work, way, wide = taken[0][0], pipeline._way, probe.wide(tracer.device)
+    context = pipeline._context
+    occluders, answers = getattr(way, "occluders", context.occluders)(work), context.answers(work)
     tiles, space = pipeline._buffers.tiles, make_light_space(make_light_frame(light, engine._anchor))
     packed = packed_grid.read(tiles)
     if not hidden.size:
@@ -224,9 +225,10 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
 
 
 @cache
-def _outcome(device: str, name: str, seed: int, variant: str) -> list[Any]:
-    tracer, scenes = _tracer(device, variant), _scenes(name, seed)
-    return [_judge(tracer, scene, hidden) for scene, hidden in zip(scenes, _hidden(device, name, seed), strict=False)]
+def _outcome(device: str, name: str, seed: int, form: str) -> list[Any]:
+    with probe.form(form):
+        tracer, scenes, hidden = _tracer(device), _scenes(name, seed), _hidden(device, name, seed)
+        return [_judge(tracer, *each) for each in zip(scenes, hidden, strict=False)]
 
 
 @cache
@@ -235,20 +237,14 @@ def _hidden(device: str, name: str, seed: int) -> list[np.ndarray]:
     return [np.empty((0, 0), np.uint8) for _ in range(len(SPREADS) + 1)]
 
 
-def _variants(device: str) -> tuple[str, ...]:
-    return packed_grid.VARIANTS if probe.wide(device) else ("packed_scalar",)
-
-
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", [*LIGHTS, *packed_grid.HARD])
-@pytest.mark.parametrize("variant", packed_grid.VARIANTS)
+@probe.in_both_forms
 @pytest.mark.slow
 def test_nothing_hidden_is_rejected_and_nothing_lit_covered(
-    any_device: str, variant: str, name: str, seed: int
+    any_device: str, kernel_form: str, name: str, seed: int
 ) -> None:
-    if variant not in _variants(any_device):
-        pytest.skip("the sixteen-wide form is for the CPU")
-    for number, (levels, _) in enumerate(_outcome(any_device, name, seed, variant)):
+    for number, (levels, _) in enumerate(_outcome(any_device, name, seed, kernel_form)):
         for level, (answers, shadows, rays) in levels.items():
             missed = (shadows > 0) & (answers < _MET)
             taken = (shadows < rays) & (answers == _COVERED)
@@ -258,17 +254,15 @@ def test_nothing_hidden_is_rejected_and_nothing_lit_covered(
 
 
 @pytest.mark.parametrize("name", LIGHTS)
-@pytest.mark.parametrize("variant", packed_grid.VARIANTS)
+@probe.in_both_forms
 @pytest.mark.slow
-def test_boxes_decide(any_device: str, variant: str, name: str) -> None:
+def test_boxes_decide(any_device: str, kernel_form: str, name: str) -> None:
     """Most that may be rejected is, and much of what may be covered; each step has a share in it, on cube faces and in
     the aligned frustum."""
-    if variant not in _variants(any_device):
-        pytest.skip("the sixteen-wide form is for the CPU")
     share: Counter[Any] = Counter()
     modes: Counter[bool] = Counter()
     for seed in range(3):
-        for levels, aligned in _outcome(any_device, name, seed, variant):
+        for levels, aligned in _outcome(any_device, name, seed, kernel_form):
             modes[aligned] += 1
             for level, (answers, shadows, rays) in levels.items():
                 lit, dark = shadows == 0, shadows == rays
@@ -297,9 +291,9 @@ def test_both_forms_judge_alike(any_device: str, name: str) -> None:
     but for those that are not among the candidates."""
     judged = 0
     for seed in range(3):
-        outcomes = (_outcome(any_device, name, seed, variant) for variant in packed_grid.VARIANTS)
-        for (wide, _), (scalar, _) in zip(*outcomes, strict=True):
-            one, other = wide["tile"][0], scalar["tile"][0]
+        outcomes = (_outcome(any_device, name, seed, form) for form in probe.FORMS)
+        for (wide, _), (cuda, _) in zip(*outcomes, strict=True):
+            one, other = wide["tile"][0], cuda["tile"][0]
             both = (one > _BESIDE) & (other > _BESIDE)
             np.testing.assert_array_equal(one[both], other[both])
             assert not ((other == _ABSENT) & (one != _ABSENT)).any()

@@ -8,21 +8,22 @@ from functools import cache
 
 import geometry
 import numpy as np
+import probe
 import pytest
-from packed_grid import BLOCK, LEVELS, NEAR, OUTSIDE, TILE, VARIANTS, Packed, Packing
+from packed_grid import BLOCK, LEVELS, NEAR, OUTSIDE, TILE, Packed, Packing
 
 from shadow_tracer import DirectionalLight
-from shadow_tracer.gpu.accelerators.participants import ABSENT, IN_TREE, WILD
+from shadow_tracer.gpu.accelerators.admission import ABSENT, IN_TREE, WILD
 from shadow_tracer.scene.lights import Light
 
 _MOST = 20_000
 _SUN = DirectionalLight("sun", (0.0, 0.0, -1.0))
-_forms = pytest.mark.parametrize("variant", VARIANTS)
 
 
 @cache
-def _packing(device: str, variant: str) -> Packing:
-    return Packing(device, variant, _MOST + 1, 4)
+def _packing(device: str, form: str) -> Packing:
+    """To be called, and used, in that form."""
+    return Packing(device, _MOST + 1, 4)
 
 
 def _face_of(ray: np.ndarray) -> np.ndarray:
@@ -155,36 +156,36 @@ _KINDS = ("sphere", "frustum", "wide", "tall", "one direction", "one u", "cluste
 _SIZES = (0, 1, 31, 32, 33, 511, 512, 513, 8191, 8192, 8193, _MOST)
 
 
-@_forms
+@probe.in_both_forms
 @pytest.mark.parametrize("light", [NEAR, OUTSIDE, _SUN], ids=lambda light: light.name)
 @pytest.mark.parametrize("kind", _KINDS)
 @pytest.mark.slow
-def test_one_light(any_device: str, variant: str, kind: str, light: Light) -> None:
+def test_one_light(any_device: str, kernel_form: str, kind: str, light: Light) -> None:
     most_blocks = 0
     for seed, count in enumerate(_SIZES):
         # and one that does not take part, as a pass has at least one
         rays = _rays(np.random.default_rng([460, seed]), kind, count + 1)[None]
         inside = np.arange(count + 1)[None] > 0
-        packed = _packing(any_device, variant).pack(rays, inside.astype(np.uint8), lights=(light,))
+        packed = _packing(any_device, kernel_form).pack(rays, inside.astype(np.uint8), lights=(light,))
         _check(packed, rays, inside, (light is NEAR,), [_fit(rays[inside])])
         most_blocks = max(most_blocks, int(packed.groups[:, 2].max()) // BLOCK)
     # 20,000 rays in one frustum: 2 blocks a column if it is square, 4 if it is tall
     assert most_blocks == {"frustum": 2, "wide": 1, "tall": 4, "clusters": 1}.get(kind, most_blocks)
 
 
-@_forms
-def test_columns_are_at_most_256_tiles(any_device: str, variant: str) -> None:
+@probe.in_both_forms
+def test_columns_are_at_most_256_tiles(any_device: str) -> None:
     """300,000 rays in a tall frustum would like columns of seventeen blocks."""
     count = 300_000
     rays = _rays(np.random.default_rng(461), "tall", count)[None]
-    packed = Packing(any_device, variant, count).pack(rays)
+    packed = Packing(any_device, count).pack(rays)
     _check(packed, rays, np.ones((1, count), bool), (False,), [True])
     assert packed.groups[4, 2] == 16 * BLOCK
 
 
-@_forms
+@probe.in_both_forms
 @pytest.mark.parametrize("count", [1, 63, 700, 4999])
-def test_some_rays_of_several_lights(any_device: str, variant: str, count: int) -> None:
+def test_some_rays_of_several_lights(any_device: str, kernel_form: str, count: int) -> None:
     """Rays that are not in tiles, or in shadow before, hold anything and count for nothing; lights do not mix."""
     rng = np.random.default_rng([462, count])
     lights = (NEAR, OUTSIDE, _SUN, NEAR)
@@ -196,16 +197,16 @@ def test_some_rays_of_several_lights(any_device: str, variant: str, count: int) 
     rays[kind == int(WILD)] = (0.0, 1e30, -np.inf, 0.0)
     inside = (kind == int(IN_TREE)) & (states != 1)
     some = [bool((kind[k] == int(IN_TREE)).any()) for k in range(4)]
-    packed = _packing(any_device, variant).pack(rays, kind, states, lights)
+    packed = _packing(any_device, kernel_form).pack(rays, kind, states, lights)
     _check(packed, rays, inside, (True, False, False, True), [not some[0], True, True, not some[3]])
 
 
-@_forms
+@probe.in_both_forms
 @pytest.mark.parametrize("lights", [16, 64])
-def test_as_many_lights_as_there_may_be(any_device: str, variant: str, lights: int) -> None:
+def test_as_many_lights_as_there_may_be(any_device: str, lights: int) -> None:
     rng = np.random.default_rng(463)
     rays = np.stack([_rays(rng, "sphere" if k % 3 else "frustum", 300) for k in range(lights)])
-    packed = Packing(any_device, variant, lights * 300, lights).pack(rays, lights=(NEAR,) * lights)
+    packed = Packing(any_device, lights * 300, lights).pack(rays, lights=(NEAR,) * lights)
     _check(packed, rays, np.ones((lights, 300), bool), (True,) * lights, [k % 3 == 0 for k in range(lights)])
 
 
@@ -213,7 +214,7 @@ _EDGE = np.nextafter(np.float32(2.0), np.float32(3.0))
 _TINY = np.float32(1e-30)
 
 
-@_forms
+@probe.in_both_forms
 @pytest.mark.parametrize("at", [0, 15, 16, 39])
 @pytest.mark.parametrize(
     "ray, fits",
@@ -232,17 +233,17 @@ _TINY = np.float32(1e-30)
         ((0.5, 0.25, -0.0), False),
     ],
 )
-def test_border_of_the_frustum(any_device: str, variant: str, ray: tuple[float, ...], fits: bool, at: int) -> None:
+def test_border_of_the_frustum(any_device: str, kernel_form: str, ray: tuple[float, ...], fits: bool, at: int) -> None:
     """One ray decides, whichever lane of its sixteen it is in; unless it does not take part."""
     rays = _rays(np.random.default_rng(464), "frustum", 40)
     rays[at] = (*ray, 0.5)
     kind = np.full((1, 40), int(IN_TREE), np.uint8)
-    packed = _packing(any_device, variant).pack(rays[None], kind)
+    packed = _packing(any_device, kernel_form).pack(rays[None], kind)
     np.testing.assert_array_equal(packed.aligned, [int(fits)])
     if ray[:2] != (0.0, 0.0):
         _check(packed, rays[None], kind == int(IN_TREE), (False,), [fits])
     kind[0, at] = int(WILD)
-    packed = _packing(any_device, variant).pack(rays[None], kind)
+    packed = _packing(any_device, kernel_form).pack(rays[None], kind)
     _check(packed, rays[None], kind == int(IN_TREE), (False,), [True])
 
 
@@ -251,7 +252,11 @@ def test_border_of_the_frustum(any_device: str, variant: str, ray: tuple[float, 
 def test_both_forms_agree(any_device: str, kind: str, count: int) -> None:
     """In groups, columns and their extents, and in the rays of every lane."""
     rays = _rays(np.random.default_rng([465, count]), kind, count)[None]
-    one, other = (_packing(any_device, variant).pack(rays) for variant in VARIANTS)
+    packed = []
+    for form in probe.FORMS:
+        with probe.form(form):
+            packed.append(_packing(any_device, form).pack(rays))
+    one, other = packed
     np.testing.assert_array_equal(one.aligned, other.aligned)
     np.testing.assert_array_equal(one.counts, other.counts)
     np.testing.assert_array_equal(one.groups, other.groups)

@@ -13,10 +13,10 @@ import warp as wp
 from node_fuzz import LIGHTS, RAYS, bundles, decide_all
 
 from shadow_tracer import Bounds, Scene
+from shadow_tracer.gpu.accelerators.admission import Admission
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.paper_hierarchy import cone_test, cones
 from shadow_tracer.gpu.accelerators.paper_hierarchy.breadth_first import Triangles, see
-from shadow_tracer.gpu.accelerators.participants import Participants
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.exact.light_frame import make_anchor, make_light_frame
 from shadow_tracer.gpu.exact.light_space import make_light_space
@@ -72,12 +72,12 @@ def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
     project(frame, 0, 0, 0)
     context.records.plan([around], 1)
     made = context.records.prepare(around)
-    seen, rays_in_tree, tree = Corners(context.records), Participants(context), cones.ConeTree(context)
+    seen, rays_in_tree, tree = Corners(context.records), Admission(context), cones.ConeTree(context)
     seen.make(around, made)
-    rays_in_tree.choose(Pass((around,)))
-    assert (rays_in_tree.group.numpy() == 1).all()
+    rays_in_tree.admit(Pass((around,)))
+    assert (rays_in_tree.groups.numpy() == 1).all()
     leaves = cones.Leaves()
-    leaves.rays, leaves.group = frame.rays, rays_in_tree.group
+    leaves.rays, leaves.group = frame.rays, rays_in_tree.groups
     leaves.order = leaves.counts = rays_in_tree.counts
     tree.shape(True)
     what = Triangles()

@@ -99,7 +99,7 @@ def test_small_queues_change_nothing(any_device: str, variant: str, capacity: in
     states, counters = _states(_tracer(any_device, "cone_hierarchy", variant, capacity), mesh, depth, 0.0)
     np.testing.assert_array_equal(states, expected)
     assert counters["peak_queue"] == max(1, capacity // 8)
-    assert capacity == 64 or counters["overflow_passes"] > 0
+    assert capacity == 64 or probe.wide(any_device) or counters["overflow_passes"] > 0
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 5, 17, 256])

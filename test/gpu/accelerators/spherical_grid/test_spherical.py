@@ -16,7 +16,7 @@ from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTr
 
 wp = pytest.importorskip("warp")
 
-from shadow_tracer.gpu.accelerators import participants  # noqa: E402
+from shadow_tracer.gpu.accelerators import admission  # noqa: E402
 from shadow_tracer.gpu.accelerators.spherical_grid import rays as spherical_rays  # noqa: E402
 from shadow_tracer.gpu.accelerators.spherical_grid import spherical  # noqa: E402
 from shadow_tracer.gpu.exact import decision, light_frame  # noqa: E402
@@ -128,8 +128,8 @@ def _check_coverage(tracer: Any, light: Any, points: np.ndarray, mesh: geometry.
     assert not len(lacking), (
         f"{len(lacking)} pairs lack an entry, first: {points[rays[lacking[0, 0]]]}, {lacking[0, 1]}"
     )
-    group = _grid_of(tracer)._participants.group.numpy()[: len(points)]
-    assert (np.sort(rays) == np.flatnonzero(group == int(participants.IN_TREE))).all()
+    group = _grid_of(tracer)._admission.groups.numpy()[: len(points)]
+    assert (np.sort(rays) == np.flatnonzero(group == int(admission.IN_TREE))).all()
     np.testing.assert_array_equal(answers[rays], hidden[rays].any(axis=1))
     return int(hidden[rays].sum())
 

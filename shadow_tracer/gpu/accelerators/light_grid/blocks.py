@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The packed grid in the wide form; see ``tiles.py`` and ``binning.py``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from shadow_tracer.gpu.accelerators.admission import Admission
+from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.light_grid import binning, candidates
+from shadow_tracer.gpu.accelerators.light_grid.candidates import CandidateRecords
+from shadow_tracer.gpu.accelerators.light_grid.tiles import (
+    ALL_BLOCKS,
+    ALL_COLUMNS,
+    ALL_RAYS,
+    BLOCK_RAYS,
+    COLUMNS_OF,
+    FIRST_BLOCK,
+    FIRST_COLUMN,
+    FIRST_RAY,
+    LENGTH,
+    QUANTITIES,
+    RAYS_OF,
+    U_CELLS,
+    TileBuffers,
+    Tiles,
+    lay_out,
+    make_lookup,
+    no_column,
+)
+from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.device.launches import Launches
+from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.exact.light_space import FACES, space_of
+from shadow_tracer.gpu.exact.records import BLOCK
+from shadow_tracer.gpu.occluders.clusters import CLUSTER
+from shadow_tracer.gpu.samples.passes import Pass
+
+# Entries that are gathered on the CPU before they are traced, per place for a tile.
+_ENTRIES_PER_TILE = 2
+
+
+@native.func_native("accelerators/light_grid/packing16.h", calls="Packing16::measure")
+def measure(place: int, rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), tiles: Tiles):
+    """Frustum and extents of the rays of the light at ``place``."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/packing16.h", calls="Packing16::keys", otherwise="return 0;")
+def write_keys(
+    place: int,
+    first: int,
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    group: wp.array(dtype=wp.uint8),
+    tiles: Tiles,
+    cells: wp.array(dtype=int),
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+) -> int:
+    """Keys and numbers of the light's rays that are in tiles and not known to be in shadow, to be stored from ``first``
+    on; returns the end. ``cells`` counts the rays in each (group, cell of u)."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/columns.h", calls="Columns::gather")
+def to_columns(
+    count: int, tiles: Tiles, cells: wp.array(dtype=int), keys: wp.array(dtype=int), order: wp.array(dtype=int)
+):
+    """Bring the rays of each column together, behind the first ``count`` elements of ``keys`` (then the cell of v) and
+    ``order``."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/columns.h", calls="Columns::pack")
+def pack_column(
+    number: int,
+    inverse: int,
+    column: int,
+    first_block: int,
+    begin: int,
+    end: int,
+    rays: wp.array(dtype=wp.vec4),
+    tiles: Tiles,
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+):
+    """Tiles, blocks and the box of one column of group ``number``: its rays are ``order[begin:end]``, with the cells of
+    v in ``keys``; ``inverse``: the mode of light space."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def pack_wide(
+    lights: wp.array(dtype=LightFrame),
+    rays: wp.array(dtype=wp.vec4),
+    states: wp.array(dtype=wp.uint8),
+    group: wp.array(dtype=wp.uint8),
+    tiles: Tiles,
+    cells: wp.array(dtype=int),
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+):
+    """``packing.py`` on the CPU, sixteen rays at a time: one thread, and counting takes the place of the sorts."""
+    for k in range(FACES * tiles.lights * U_CELLS):
+        cells[k] = 0
+    count = int(0)
+    for place in range(tiles.lights):
+        measure(place, rays, group, tiles)
+        count = write_keys(place, count, rays, states, group, tiles, cells, keys, order)
+    ray = int(0)
+    column = int(0)
+    block = int(0)
+    for number in range(FACES * tiles.lights):
+        rays_of = int(0)
+        for k in range(U_CELLS):
+            rays_of += cells[number * U_CELLS + k]
+        last = column + lay_out(number, ray, rays_of, column, block, tiles)
+        for k in range(column + tiles.groups[number, COLUMNS_OF], last):
+            no_column(k, tiles)
+        column = last
+        ray += rays_of
+        block += (rays_of + BLOCK_RAYS - 1) // BLOCK_RAYS
+    to_columns(count, tiles, cells, keys, order)
+    for number in range(FACES * tiles.lights):
+        first = tiles.groups[number, FIRST_RAY]
+        length = tiles.groups[number, LENGTH]
+        for k in range(tiles.groups[number, COLUMNS_OF]):
+            pack_column(
+                number,
+                space_of(lights[number // FACES]).inverse,
+                tiles.groups[number, FIRST_COLUMN] + k,
+                tiles.groups[number, FIRST_BLOCK] + k * (length // BLOCK_RAYS),
+                count + first + k * length,
+                count + first + wp.min(tiles.groups[number, RAYS_OF], (k + 1) * length),
+                rays,
+                tiles,
+                keys,
+                order,
+            )
+        make_lookup(number, tiles)
+    tiles.counts[ALL_RAYS] = count
+    tiles.counts[ALL_COLUMNS] = column
+    tiles.counts[ALL_BLOCKS] = block
+
+
+class BlockGrid:
+    """The packed grid of one thread and its vector registers."""
+
+    def __init__(self, context: Context, buffers: TileBuffers, admission: Admission) -> None:
+        self._context, self._buffers, self._admission = context, buffers, admission
+        self._launch = Launches(context.frame.device)
+        device, bound = context.frame.device, context.frame.bounds.grid_entries
+        places = 16 * buffers.most_blocks
+        natural = max(4096, _ENTRIES_PER_TILE * places)
+        entries = binning.EntryList()
+        entries.capacity = min(natural, bound)
+        entries.bounded = int(bound < natural)
+        entries.tile = wp.empty(entries.capacity, dtype=int, device=device)
+        entries.record = wp.empty(entries.capacity, dtype=int, device=device)
+        entries.sorted = wp.empty(entries.capacity, dtype=int, device=device)
+        entries.start = wp.empty(places + 1, dtype=int, device=device)
+        entries.total = wp.empty(places, dtype=int, device=device)
+        entries.count = wp.zeros(2, dtype=int, device=device)
+        self._entries = entries
+        bounds = context.frame.bounds
+        self._candidates = context.shared.take(CandidateRecords, lambda: CandidateRecords(context))
+        self._clusters = wp.empty(bounds.max_triangles // CLUSTER + bounds.max_lights, dtype=int, device=device)
+        self._ends = wp.zeros(bounds.max_lights, dtype=int, device=device)
+        # What tracing changes of the tiles.
+        self._changing = (buffers.tiles.live, buffers.tiles.boxes)
+        self._kept = tuple(wp.empty_like(array) for array in self._changing)
+
+    def follow(self) -> None:
+        self._candidates.follow()
+
+    def prepare(self, light: LightFrame) -> None:
+        self._candidates.open(light)
+
+    def pack(self, work: Pass) -> None:
+        frame, buffers, group = self._context.frame, self._buffers, self._admission.groups
+
+        def prepare() -> tuple[int, list[Any]]:
+            states = frame.states_of(work.first, len(work.lights))
+            inputs = [frame.lights_from(work.first), frame.rays, states, group, buffers.tiles, buffers.cells]
+            return 1, [*inputs, buffers.sort.keys, buffers.sort.values]
+
+        self._launch(pack_wide, (work.first, len(work.lights), frame.count), prepare)
+        if work.keep:
+            self._copy(self._kept, self._changing)
+
+    def unpack(self) -> None:
+        """Tiles as they were before they were traced."""
+        self._copy(self._changing, self._kept)
+
+    def _copy(self, to: tuple[wp.array, ...], of: tuple[wp.array, ...]) -> None:
+        blocks = int(self._buffers.tiles.counts.numpy()[ALL_BLOCKS])
+        for one, other, size in zip(to, of, (16, 16 * QUANTITIES), strict=True):
+            one.numpy()[: size * blocks] = other.numpy()[: size * blocks]
+
+    def choose(self, work: Pass) -> None:
+        frame, scene, wild = self._context.frame, self._context.scene, self._admission.counts
+
+        def prepare() -> tuple[int, list[Any]]:
+            turn = wp.vec2i(frame.number, frame.shares)
+            inputs = [frame.lights_from(work.first), turn, self._buffers.tiles, wild]
+            inputs += [scene.vertices, scene.triangles, *self._candidates.structs(work)]
+            return 1, [*inputs, self._clusters, self._ends]
+
+        self._launch(candidates.find_candidates, self._context.key(work), prepare)
+
+    def trace(self, work: Pass) -> None:
+        frame = self._context.frame
+
+        def prepare() -> tuple[int, list[Any]]:
+            apart = BLOCK * self._context.records.blocks
+            inputs = [frame.lights_from(work.first), self._clusters, self._ends, apart, self._candidates.corners(work)]
+            inputs += [self._buffers.tiles, self._context.occluders(work), self._entries, self._context.answers(work)]
+            return 1, inputs
+
+        self._launch(binning.bin_wide, self._context.key(work), prepare)
+
+    def nbytes(self) -> int:
+        entries = self._entries
+        arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
+        arrays += (self._clusters, self._ends, *self._kept)
+        return sum(int(array.capacity) for array in arrays)

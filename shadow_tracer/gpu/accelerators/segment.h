@@ -1,0 +1,45 @@
+// needs: exact/light.h
+// arguments: SceneBox structure.box
+// constants: BOX_PADDING FAR_AWAY
+// A ray in the box of the scene, in units of its extent; see segment.py.
+struct Segment {
+    enum { MISSES, MEETS, TOO_FAR };
+    wp::vec3 origin, direction;
+    float longest;
+    double from, to; // where it is in the box
+
+    // What reciprocals are taken of is never so small that they are infinite.
+    static inline float away_from_zero(double x) { return fabs(x) < 1.0e-20 ? 1.0e-20f : (float)x; }
+    inline void clip(double start, double way, double half) {
+        if (fabs(way) < 1.0e-20) {
+            if (fabs(start) > half)
+                from = 1.0, to = -1.0;
+            return;
+        }
+        const double one = (-half - start) / way, two = (half - start) / way;
+        const double near = one < two ? one : two, far = one < two ? two : one;
+        from = near > from ? near : from;
+        to = far < to ? far : to;
+    }
+    inline int place(const wp::vec4d& sample, const wp::vec4d& light, const SceneBox& box) {
+        double start[3];
+        for (int k = 0; k < 3; ++k) {
+            start[k] = (sample[k] - box.center[k]) * box.inverse_extent;
+            if (!(fabs(start[k]) <= FAR_AWAY))
+                return TOO_FAR;
+        }
+        const wp::vec4d way = LightSide::towards(wp::vec3d(sample[0], sample[1], sample[2]), light);
+        from = 0.0;
+        to = way[3] * box.inverse_extent;
+        for (int k = 0; k < 3; ++k)
+            clip(start[k], way[k], box.half[k]);
+        if (!(from <= to))
+            return MISSES;
+        for (int k = 0; k < 3; ++k) {
+            origin[k] = (float)(start[k] + way[k] * from);
+            direction[k] = away_from_zero(way[k]);
+        }
+        longest = (float)((to - from) * 1.0001 + BOX_PADDING);
+        return MEETS;
+    }
+};

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rays as segments in the box of the scene, for structures over space.
+
+Let E be the largest coordinate of the scene's box around its centre O. A ray is clipped to the (padded) box in float64,
+relative to O in units of E, so that its float32 start lies within E and its length within 2 sqrt(3) E. With u = 2^-24,
+start and direction then displace a point of the ray by at most 5 u E per axis. A structure that pads its boxes by
+``PADDING`` (32 u), relative to O and rounded outwards from float64, may spend the other 27 u E on roundings of its
+walk. Direction components below 1e-20 are replaced by 1e-20, so 1/0 and 0 * infinity cannot occur; that displaces a
+point by less than 1e-19 E. Clipping rounds by 2^-50 of the sample's distance from O; a sample farther away than 2^26 E,
+where that would eat the padding, is shown every triangle instead.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from shadow_tracer.gpu.device import native
+from shadow_tracer.scene.checks import FloatArray
+
+# Of boxes, in units of the scene's extent.
+PADDING = 2.0**-19
+# Where boxes lie that hold nothing: along y, beyond the scene's reach to 1 and all padding, apart from each other.
+_OUTSIDE = 1.02
+_FAR_AWAY = 2.0**26
+native.constants(BOX_PADDING=PADDING, FAR_AWAY=_FAR_AWAY)
+
+
+@wp.struct
+class SceneBox:
+    """The box that holds every triangle: its centre [m], one over its largest half size, and its half size in units of
+    that, padded."""
+
+    center: wp.vec3d
+    inverse_extent: wp.float64
+    half: wp.vec3d
+
+
+def scene_box(low: FloatArray, high: FloatArray) -> SceneBox:
+    """Of the low and the high corner of a box around all finite vertices."""
+    center = 0.5 * low + 0.5 * high
+    half = np.maximum(high - center, center - low)
+    extent = max(float(half.max()), 1e-60)
+    box = SceneBox()
+    box.center = wp.vec3d(*center)
+    box.inverse_extent = 1.0 / extent
+    box.half = wp.vec3d(*(half / extent + 2.0 * PADDING))
+    return box
+
+
+def holds(held: tuple[FloatArray, FloatArray], low: FloatArray, high: FloatArray) -> bool:
+    """Whether a box around ``held`` serves for another: it holds that, and is not twice as large."""
+    inside = np.all(held[0] <= low) and np.all(high <= held[1])
+    return bool(inside and (held[1] - held[0]).max() <= 2.0 * (high - low).max())
+
+
+@wp.func
+def outside(i: int, boxes: int) -> wp.vec3:
+    """Where box number ``i`` of so many lies if it holds nothing."""
+    return wp.vec3(_OUTSIDE, 2.0 * float(i) / float(boxes) - 1.0, 0.0)
+
+
+@wp.kernel(enable_backward=False)
+def empty_boxes(first: int, boxes: int, lowers: wp.array(dtype=wp.vec3), uppers: wp.array(dtype=wp.vec3)):
+    """Boxes without a triangle, from ``first`` on."""
+    i = first + wp.tid()
+    lowers[i] = outside(i, boxes)
+    uppers[i] = lowers[i]
+
+
+@wp.kernel(enable_backward=False)
+def triangle_boxes(
+    first: int,
+    boxes: int,
+    box: SceneBox,
+    vertices: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.vec3i),
+    lowers: wp.array(dtype=wp.vec3),
+    uppers: wp.array(dtype=wp.vec3),
+):
+    """Padded boxes of triangles from ``first`` on, relative to the scene's centre, rounded outwards; of those that cast
+    nothing, those of gaps among them, boxes that hold nothing."""
+    i = first + wp.tid()
+    corners = triangles[i]
+    a = (vertices[corners[0]] - box.center) * box.inverse_extent
+    b = (vertices[corners[1]] - box.center) * box.inverse_extent
+    c = (vertices[corners[2]] - box.center) * box.inverse_extent
+    if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
+        lowers[i] = outside(i, boxes)
+        uppers[i] = lowers[i]
+        return
+    padding = wp.float64(PADDING)
+    low = wp.min(wp.min(a, b), c)
+    high = wp.max(wp.max(a, b), c)
+    # The padding is 32 ulps of the largest coordinate, rounding to float32 half an ulp: outward by far.
+    lowers[i] = wp.vec3(float(low[0] - padding), float(low[1] - padding), float(low[2] - padding))
+    uppers[i] = wp.vec3(float(high[0] + padding), float(high[1] + padding), float(high[2] + padding))

@@ -1,0 +1,90 @@
+// needs: exact/filter.h visibility/answers.h
+// arguments: Occluders occluders, Answers answers
+// constants: LIT SHADOWED MAGNITUDE_FLOOR LEAF_TESTS NODES_VISITED COUNTER_ROWS
+// lanes
+// The query *any hit*: whether something hides LANES rays of one light. Whoever walks shows it triangles.
+struct WIDE(AnyHit) {
+    typedef WIDE(Lanes) Lanes;
+    const wp::array_t<wp::vec4>& rays;
+    const Occluders& occluders;
+    const Answers& answers;
+    REAL u, v, w, z, magnitude;
+    int ray[LANES]; // their numbers
+    int taken;      // how many there are
+    int asking;     // the lanes that are not known to be in shadow, as bits
+    int hider;      // the triangle that hid one last, -1 if none has
+    wp::int64 tests, nodes;
+
+    inline WIDE(AnyHit)(const wp::array_t<wp::vec4>& rays, const Occluders& occluders, const Answers& answers)
+        : rays(rays), occluders(occluders), answers(answers), taken(0), asking(0), hider(-1), tests(0), nodes(0) {}
+    // Takes a ray, unless there is nothing to find out about it.
+    inline void take(int number) {
+        if (answers.states.data[number] != LIT || rays.data[number][0] != rays.data[number][0])
+            return;
+        ray[taken++] = number;
+    }
+    inline bool full() const { return taken == LANES; }
+    // Before triangles are shown. Lanes without a ray repeat the first one, and do not ask.
+    inline void begin() {
+#if LANES == 1
+        const wp::vec4 at = rays.data[ray[0]];
+        u = at[0], v = at[1], w = at[2], z = at[3];
+#else
+        float some[4][LANES];
+        for (int j = 0; j < LANES; ++j)
+            for (int k = 0; k < 4; ++k)
+                some[k][j] = rays.data[ray[j < taken ? j : 0]][k];
+        u = Lanes::load(some[0]), v = Lanes::load(some[1]), w = Lanes::load(some[2]), z = Lanes::load(some[3]);
+#endif
+        magnitude = Lanes::absolute(u) + Lanes::absolute(v) + Lanes::absolute(z) + (float)MAGNITUDE_FLOOR;
+        asking = Lanes::ALL >> (LANES - taken);
+        hider = -1;
+    }
+    // Shows a triangle; true if no ray needs to be shown anything more.
+    inline bool visit(int triangle) {
+        tests += LANES == 1 ? 1 : __builtin_popcount(asking);
+        int yes = 0;
+        const float* record = (const float*)occluders.records.data + 16 * (size_t)triangle;
+        const int found = asking & WIDE(Filter)::possible(record, u, v, w, z, magnitude, yes);
+        if (!found)
+            return false;
+#if LANES == 1
+        if (yes)
+            answers.states.data[ray[0]] = SHADOWED;
+        else if (!Settle::pair(answers, ray[0], triangle))
+            return false;
+        asking = 0;
+        hider = triangle;
+        return true;
+#else
+        for (int left = found; left; left &= left - 1) {
+            const int lane = __builtin_ctz(left);
+            if (yes >> lane & 1)
+                answers.states.data[ray[lane]] = SHADOWED;
+            else if (!Settle::pair(answers, ray[lane], triangle))
+                continue;
+            asking &= ~(1 << lane);
+            hider = triangle;
+        }
+        return !asking;
+#endif
+    }
+    // Shows all triangles, where a structure cannot say which could matter.
+    inline void everything() {
+        for (int t = 0; t < occluders.count; ++t)
+            if (visit(t))
+                return;
+    }
+    // The sample and the light of the only ray.
+    inline const wp::vec4d& sample() const { return answers.positions.data[ray[0]]; }
+    inline const wp::vec4d& light() const { return answers.lights.data[0].light; }
+    inline void end() { taken = 0; }
+    inline void report(int row) const {
+        wp::int64* counter = answers.counters.data + (size_t)(row & (COUNTER_ROWS - 1)) * answers.counters.shape[1];
+        if (tests)
+            wp::atomic_add(counter + LEAF_TESTS, tests);
+        if (nodes)
+            wp::atomic_add(counter + NODES_VISITED, nodes);
+    }
+};
+typedef WIDE(AnyHit) WIDE(Query);
