@@ -40,7 +40,8 @@ EXCEPTIONS = {
     "accelerators.paper_hierarchy.breadth_first/traverse": Budget(128, 48, reason=_CPU),
     "accelerators.bvh.wide_tree/collapse": Budget(64, 48, reason=_CPU),
     # The signs of determinants, exactly.
-    "visibility.queue/resolve_queue": Budget(112, 960, reason=_EXACT),
+    "visibility.queue/decide_queue": Budget(88, 960, reason=_EXACT),
+    "visibility.queue/decide_open": Budget(88, 960, reason=_EXACT),
     "accelerators.brute_force.brute_force/test_all_float64": Budget(84, 960, reason="the oracle: " + _EXACT),
     "exact.records/prepare_triangles": Budget(104, 1024, reason="float64 planes, and " + _EXACT),
     "accelerators.camera_grid.hit/trace_pixels": Budget(104, 896, reason="decides ties in place: " + _EXACT),
@@ -59,8 +60,11 @@ EXCEPTIONS = {
     "accelerators.paper_hierarchy.cones/build_level": Budget(64, 48, reason=_ANGLES),
     "accelerators.spherical_grid.cells/cover_tiles": Budget(80, 48, reason=_ANGLES),
     "accelerators.spherical_grid.rays/place_tiles": Budget(64, 48, reason=_ANGLES),
-    # Rays through the tree of triangles: a stack of 64 nodes, and the pairs to be decided exactly.
-    "accelerators.bvh.mesh_bvh/walk": Budget(72, 336, reason="a stack of 64 nodes, and up to five uncertain triangles"),
+    # Rays through a structure over triangles.
+    "accelerators.bvh.mesh_bvh/walk_binary_tree_1": Budget(66, 288, reason="a stack of 64 nodes"),
+    "accelerators.uniform_grid.uniform_grid/walk_cells_1": Budget(
+        66, 176, reason="sixteen mailboxes, and a step along any axis"
+    ),
     # Float64 per pixel.
     "samples.rays/project_samples": Budget(96, reason="float64: a light's frame and the sample in it"),
     "samples.pixels/unproject": Budget(80, reason="float64: the camera's pose and the sample"),

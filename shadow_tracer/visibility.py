@@ -48,7 +48,7 @@ class Frame:
         """What was done for all lights together: ``rays`` traced, ``nodes_visited`` of a tree, ``accepted`` ones that a
         triangle covers, ``passes`` through a tree of rays, ``peak_queue`` entries of the fullest queue, ``leaf_tests``
         of the float32 filter, ``retested`` pairs it could not decide, ``exact`` determinants that needed expansion
-        arithmetic, ``overflow_passes`` because the queue was full; and of the scene: ``triangles``, ``degenerate``
+        arithmetic, ``overflow_passes`` because a list was full; and of the scene: ``triangles``, ``degenerate``
         ones among them that cast nothing for the last light (no area, seen exactly edge-on, or a corner that is not
         finite), and ``culled`` ones, which cast nothing because their front faces the last light and front faces are
         culled; both of those that the pipeline looked at, which may leave out what is beside all rays."""

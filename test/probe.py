@@ -122,6 +122,12 @@ def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayT
     return RayTree(tree, pipeline._order, frame, scene, who.groups, found, space, occluders, answers)
 
 
+def structure(tracer: ShadowTracer) -> Any:
+    """What the rays of a walker go through, of its only share."""
+    inside: Any = tracer._engine.inside
+    return inside._pipeline.structure
+
+
 def forget_anchor(tracer: ShadowTracer) -> None:
     """The anchor of an earlier frame, which serves again where it can, is not used."""
     inside: Any = tracer._engine.inside

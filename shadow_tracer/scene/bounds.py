@@ -32,11 +32,12 @@ class Bounds:
         max_rays: pixels of a depth image; :meth:`ShadowTracer.occluded` works in pieces of this size. Room for several
             images lets ``light_grid`` trace as many lights together.
         max_lights: lights of one frame.
-        queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision; the node
-            queues of the breadth-first variants have an eighth of it for each level. A smaller queue costs further
-            passes (counted in ``overflow_passes``), never an answer.
+        queue_capacity: sample/triangle pairs that float32 cannot decide, waiting for the exact decision on a GPU (the
+            CPU decides them where it finds them); the node queues of the breadth-first variants have an eighth of it
+            for each level. A full queue costs time (counted in ``overflow_passes``), never an answer.
         grid_entries: (tile, triangle) entries of pipeline ``light_grid`` and of depth cameras. Too few cost passes
-            (counted in ``overflow_passes``), never an answer.
+            (counted in ``overflow_passes``), never an answer. For ``uniform_grid``, memberships of triangles in cells;
+            too few make larger cells.
 
     Raises:
         ValueError: a capacity is not a positive integer or too large to count with; the message names it and its limit.

@@ -66,6 +66,10 @@ REGISTRY: dict[str, PipelineEntry] = {
         "bounding volume hierarchy over the triangles, refitted while only positions change",
         dict.fromkeys(("refit", "rebuild", "binary"), _BVH),
     ),
+    "uniform_grid": PipelineEntry(
+        "a grid of equal cells over the triangles, rays step from cell to cell",
+        {"dda": "uniform_grid.uniform_grid:UniformGrid"},
+    ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
         dict.fromkeys(("filtered", "float64"), _BRUTE_FORCE),

@@ -35,7 +35,8 @@ def _kernel(header: str, structure: Any, lanes: int, block: int) -> tuple[Any, w
     some.__name__, some.__qualname__, some.__module__ = f"some_{name}", f"some_{name}", module
     call = f"Walker{lanes}::some(first, last, row, structure, rays, occluders, answers);"
     roles = {**native.ROLES, "walk": header}
-    send = wp.func_native(native.snippet(f"accelerators/walker.h@{lanes}", call=call, roles=roles))(some)
+    snippet = native.snippet(f"accelerators/walker.h@{lanes}", call=call, roles=roles, cpu=block > 1)
+    send = wp.func_native(snippet)(some)
     size = wp.constant(block)
 
     def walk(count, structure, rays, occluders, answers):  # type: ignore[no-untyped-def]

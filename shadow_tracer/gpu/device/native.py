@@ -38,7 +38,7 @@ _SHOWN = "shadow_tracer/gpu"  # as compilers name it
 # What stands for a header in ``needs``, and the header that plays it unless a snippet names another: what is asked
 # about rays (a struct ``Query``), and how they go through a structure (a struct ``Walk``). Both names end with
 # the number of lanes.
-ROLES = {"query": "visibility/any_hit.h", "walk": "accelerators/brute_force/walk.h"}
+ROLES = {"query": "visibility/any_hit.h", "walk": "accelerators/brute_force/every_triangle.h"}
 
 _constants: dict[str, int | float] = {}
 
@@ -145,7 +145,7 @@ def paste(headers: dict[tuple[str, int], Header]) -> str:
     return "\n".join([*parts, "#undef UNCONTRACTED"]) + "\n"
 
 
-def snippet(*names: str, call: str, otherwise: str = "", roles: Mapping[str, str] = ROLES) -> str:
+def snippet(*names: str, call: str, otherwise: str = "", roles: Mapping[str, str] = ROLES, cpu: bool = False) -> str:
     """The snippet of a native function.
 
     Args:
@@ -153,13 +153,14 @@ def snippet(*names: str, call: str, otherwise: str = "", roles: Mapping[str, str
         call: the function's body, a call.
         otherwise: the body for CUDA, where one of the headers is for the CPU alone, or for several lanes.
         roles: the headers that play the roles of ``ROLES``.
+        cpu: leave the body out for CUDA, whatever the headers say.
     """
     headers = closure(names, roles=roles)
     arguments = dict.fromkeys(pair for header in headers.values() for pair in header.arguments)
     types = "".join(f"typedef decltype({argument}) {kind};\n" for kind, argument in arguments)
     where = _line(f"{_SHOWN}/{names[-1].partition('@')[0]}: call")
     body = "\n".join([types + paste(headers).rstrip(), where, call, _line("the kernel that Warp made"), ""])
-    if not any(header.cpu or lanes > 1 for (_, lanes), header in headers.items()):
+    if not (cpu or any(header.cpu or lanes > 1 for (_, lanes), header in headers.items())):
         return body
     return f"#if !defined(__CUDA_ARCH__)\n{body}#else\n{otherwise}\n#endif\n"
 

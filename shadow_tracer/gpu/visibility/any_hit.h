@@ -21,7 +21,13 @@ struct WIDE(AnyHit) {
     inline void take(int number) {
         if (answers.states.data[number] != LIT || rays.data[number][0] != rays.data[number][0])
             return;
+#if LANES == 1
+        // No index at run time: compilers for CUDA would put the query into local memory, with all that it refers to.
+        ray[0] = number;
+        taken = 1;
+#else
         ray[taken++] = number;
+#endif
     }
     inline bool full() const { return taken == LANES; }
     // Before triangles are shown. Lanes without a ray repeat the first one, and do not ask.
@@ -42,7 +48,11 @@ struct WIDE(AnyHit) {
     }
     // Shows a triangle; true if no ray needs to be shown anything more.
     inline bool visit(int triangle) {
-        tests += LANES == 1 ? 1 : __builtin_popcount(asking);
+#if LANES == 1
+        ++tests;
+#else
+        tests += __builtin_popcount(asking);
+#endif
         int yes = 0;
         const float* record = (const float*)occluders.records.data + 16 * (size_t)triangle;
         const int found = asking & WIDE(Filter)::possible(record, u, v, w, z, magnitude, yes);

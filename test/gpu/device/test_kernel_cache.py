@@ -18,7 +18,7 @@ import warp as wp
 
 from shadow_tracer import Bounds, DepthCamera, PointLight, ShadowTracer
 from shadow_tracer.gpu.device import kernel_cache
-from shadow_tracer.gpu.visibility import queue
+from shadow_tracer.gpu.samples import rays
 
 
 @wp.kernel(module=wp.get_module("shadow_tracer.test_kernel_cache"))
@@ -152,10 +152,10 @@ def test_tracers_and_depth_cameras_mend(owner: str, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.slow
 def test_a_program_starts_with_a_damaged_cache(tmp_path: Path) -> None:
-    """From end to end: all files of the module that decides are cut short."""
+    """From end to end: all files of the module that makes rays are cut short."""
     ShadowTracer("brute_force", device="cpu", bounds=Bounds(max_triangles=10, max_rays=10)).warm_up()
     shutil.copytree(wp.config.kernel_cache_dir, tmp_path / wp.__version__)
-    files = list(tmp_path.glob(f"*/wp_{queue.__name__}_*/*.o"))
+    files = list(tmp_path.glob(f"*/wp_{rays.__name__}_*/*.o"))
     assert files
     for file in files:
         truncate(file)

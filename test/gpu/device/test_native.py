@@ -16,7 +16,6 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
-from shadow_tracer.gpu.accelerators.brute_force.brute_force import BruteForce  # noqa: E402
 from shadow_tracer.gpu.accelerators.walker import Walk  # noqa: E402
 from shadow_tracer.gpu.device import native  # noqa: E402
 
@@ -87,7 +86,9 @@ def _snippets() -> list[str]:
         for path in sorted((_ROOT / "shadow_tracer" / "gpu").rglob("*.py"))
     ]
     values = [value for module in modules for value in vars(module).values()]
-    walks = [value for value in values if isinstance(value, Walk)] + [BruteForce.walk]
+    classes = [value for value in values if isinstance(value, type)]
+    walks = [value for each in classes for value in vars(each).values() if isinstance(value, Walk)]
+    walks += [value for value in values if isinstance(value, Walk)]
     functions = [value for value in values if isinstance(value, wp.Function)]
     functions += [function for walk in walks for function in walk.functions]
     return [function.native_snippet for function in functions]

@@ -67,7 +67,7 @@ def test_all_float64(
 class BruteForce(Walker):
     """The ``brute_force`` pipeline."""
 
-    walk = Walk("accelerators/brute_force/walk.h", Structure, lanes=16)
+    walk = Walk("accelerators/brute_force/every_triangle.h", Structure, lanes=16)
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)

@@ -1,0 +1,58 @@
+// needs: query accelerators/segment.h
+// arguments: Structure structure
+// From cell to cell (Amanatides and Woo 1987); see uniform_grid.py.
+struct Walk1 {
+    enum { MAILBOXES = 16 };
+
+    static inline void walk(const Structure& structure, Query1& query) {
+        Segment segment;
+        const int place = segment.place(query.sample(), query.light(), structure.box);
+        if (place == Segment::MISSES)
+            return;
+        if (place == Segment::TOO_FAR) {
+            query.everything();
+            return;
+        }
+        const auto& shape = structure.shape.data[0];
+        int cell[3], turn[3];
+        float next[3], inverse[3];
+        for (int k = 0; k < 3; ++k) {
+            inverse[k] = 1.0f / segment.direction[k];
+            turn[k] = segment.direction[k] > 0.0f ? 1 : -1;
+            const int at = (int)((segment.origin[k] - shape.low[k]) * shape.per_unit[k]), last = shape.count[k] - 1;
+            cell[k] = at < 0 ? 0 : at > last ? last : at;
+        }
+        // Where the ray leaves the cell along an axis. From the cell's number: a sum of steps would sum their
+        // roundings.
+        auto leave = [&](int k) {
+            const float plane = shape.low[k] + (float)(cell[k] + (turn[k] > 0)) * shape.size[k];
+            return (plane - segment.origin[k]) * inverse[k];
+        };
+        for (int k = 0; k < 3; ++k)
+            next[k] = leave(k);
+        // The triangles shown last: most lie in several cells.
+        int shown[MAILBOXES];
+        for (int k = 0; k < MAILBOXES; ++k)
+            shown[k] = -1;
+        for (;;) {
+            ++query.nodes;
+            const int number = (cell[2] * shape.count[1] + cell[1]) * shape.count[0] + cell[0];
+            for (int k = structure.start.data[number]; k < structure.start.data[number + 1]; ++k) {
+                const int triangle = structure.members.data[k];
+                int& box = shown[triangle % MAILBOXES];
+                if (box == triangle)
+                    continue;
+                box = triangle;
+                if (query.visit(triangle))
+                    return;
+            }
+            const int axis = next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);
+            if (!(next[axis] <= segment.longest))
+                return;
+            cell[axis] += turn[axis];
+            if (cell[axis] < 0 || cell[axis] >= shape.count[axis])
+                return;
+            next[axis] = leave(axis);
+        }
+    }
+};

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A grid of equal cells over the scene, walked cell by cell (Fujimoto, Tanaka, Iwata 1986: "ARTS: Accelerated
+Ray-Tracing System"; Amanatides and Woo 1987: "A Fast Voxel Traversal Algorithm for Ray Tracing"), with mailboxes.
+
+There are about twice as many cells as triangles. A triangle is a member of every cell that its padded box touches. It
+is built again whenever the scene changes: triangles are counted by cell, counts are scanned, numbers are scattered. If
+the list is too short for all memberships, the grid gets half as many cells along each axis, as often as it takes: with
+one cell there are as many as triangles. Which it is, is decided on the device.
+
+Why no triangle can be missed. In units of the scene's extent E, u = 2^-24: cell i of an axis lies between low + i size
+and low + (i + 1) size, exactly; memberships are computed in float64 from boxes padded by 32 u (``segment.py``). A walk
+computes where a ray leaves a cell from the cell's number: the plane within 3 u, its distance from the start, at most
+2.0002, within 3 u relative, so that a ray is within 9.1 u of the cell it is said to be in when it leaves it, and after.
+In the first cell it is within 6.1 u. Whatever the walk calls a cell is therefore a cell that the ray, which is within
+5 u of the exact one, passes through or passes by closer than 15 u; a triangle that the exact ray meets there has that
+cell among its own. A ray that has left the grid is farther than 40 u from all triangles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.segment import SceneBox, scene_box, triangle_boxes
+from shadow_tracer.gpu.accelerators.walker import Walk, Walker
+from shadow_tracer.scene.checks import FloatArray
+
+_CELLS_PER_TRIANGLE = 2
+_MOST_CELLS = 2**22
+_MOST_ALONG = 256  # an axis
+_LEVELS = wp.constant(9)  # 256 to 1 cells along an axis
+_ROWS = wp.constant(64)  # that threads spread their counts over
+
+
+@wp.struct
+class Shape:
+    """Cells along each axis, the low corner of the first, their size, and how many there are per unit."""
+
+    count: wp.vec3i
+    low: wp.vec3
+    size: wp.vec3
+    per_unit: wp.vec3
+
+
+@wp.struct
+class Structure:
+    """The grid: ``members[start[k]]`` to ``members[start[k + 1]]`` are the triangles of cell k."""
+
+    box: SceneBox
+    shape: wp.array(dtype=Shape)
+    start: wp.array(dtype=int)
+    members: wp.array(dtype=int)
+
+
+@wp.struct
+class Cells:
+    """From the first to the last along each axis; none if a last one is before the first."""
+
+    first: wp.vec3i
+    last: wp.vec3i
+
+
+@wp.func
+def shape_of(box: SceneBox, finest: wp.vec3i, level: int) -> Shape:
+    """The shape of the grid with the cells along each axis halved ``level`` times."""
+    shape = Shape()
+    for k in range(3):
+        shape.count[k] = wp.max(finest[k] >> level, 1)
+        shape.low[k] = -float(box.half[k])
+        shape.size[k] = 2.0 * float(box.half[k]) / float(shape.count[k])
+        shape.per_unit[k] = 1.0 / shape.size[k]
+    return shape
+
+
+@wp.func
+def cells_of(shape: Shape, lower: wp.vec3, upper: wp.vec3) -> Cells:
+    """The cells that a box touches."""
+    cells = Cells()
+    for k in range(3):
+        low = wp.float64(shape.low[k])
+        size = wp.float64(shape.size[k])
+        last = wp.float64(shape.count[k] - 1)
+        cells.first[k] = int(wp.clamp(wp.floor((wp.float64(lower[k]) - low) / size), wp.float64(0.0), last))
+        cells.last[k] = int(wp.clamp(wp.floor((wp.float64(upper[k]) - low) / size), wp.float64(0.0), last))
+    return cells
+
+
+@wp.kernel(enable_backward=False)
+def count_memberships(
+    box: SceneBox,
+    finest: wp.vec3i,
+    lowers: wp.array(dtype=wp.vec3),
+    uppers: wp.array(dtype=wp.vec3),
+    needed: wp.array2d(dtype=wp.int64),
+):
+    """How many there are at each level. One thread per level and triangle."""
+    level, i = wp.tid()
+    cells = cells_of(shape_of(box, finest, level), lowers[i], uppers[i])
+    count = wp.int64(1)
+    for k in range(3):
+        count *= wp.int64(cells.last[k] - cells.first[k] + 1)
+    wp.atomic_add(needed, i & (_ROWS - 1), level, count)
+
+
+@wp.kernel(enable_backward=False)
+def choose_shape(
+    box: SceneBox,
+    finest: wp.vec3i,
+    capacity: wp.int64,
+    needed: wp.array2d(dtype=wp.int64),
+    shape: wp.array(dtype=Shape),
+):
+    """The finest one whose memberships fit. One thread."""
+    level = int(-1)
+    fits = bool(False)
+    while not fits and level + 1 < _LEVELS:
+        level += 1
+        total = wp.int64(0)
+        for row in range(_ROWS):
+            total += needed[row, level]
+        fits = total <= capacity
+    shape[0] = shape_of(box, finest, level)
+
+
+@wp.kernel(enable_backward=False)
+def enter_cells(
+    shape: wp.array(dtype=Shape),
+    lowers: wp.array(dtype=wp.vec3),
+    uppers: wp.array(dtype=wp.vec3),
+    begins: wp.array(dtype=int),
+    members: wp.array(dtype=int),
+):
+    """Count the triangles of each cell in ``begins``; with ``members``, store them from there on. One thread each."""
+    i = wp.tid()
+    cells = cells_of(shape[0], lowers[i], uppers[i])
+    count = shape[0].count
+    for z in range(cells.first[2], cells.last[2] + 1):
+        for y in range(cells.first[1], cells.last[1] + 1):
+            for x in range(cells.first[0], cells.last[0] + 1):
+                at = wp.atomic_add(begins, (z * count[1] + y) * count[0] + x, 1)
+                if members.shape[0] > 0:
+                    members[at] = i
+
+
+class UniformGrid(Walker):
+    """The ``uniform_grid`` pipeline."""
+
+    walk = Walk("accelerators/uniform_grid/cells.h", Structure)
+
+    def __init__(self, variant: str, context: Context) -> None:
+        super().__init__(context)
+        bounds, device = context.frame.bounds, context.frame.device
+        triangles = bounds.max_triangles
+        self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
+        self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
+        self._most_cells = min(_CELLS_PER_TRIANGLE * triangles, _MOST_CELLS)
+        self._needed = wp.zeros((int(_ROWS), int(_LEVELS)), dtype=wp.int64, device=device)
+        self._begins = wp.empty(self._most_cells + 1, dtype=int, device=device)
+        self._no_members = wp.empty(0, dtype=int, device=device)
+        self._grid = Structure()
+        self._grid.shape = wp.zeros(1, dtype=Shape, device=device)
+        self._grid.start = wp.empty(self._most_cells + 1, dtype=int, device=device)
+        self._grid.members = wp.empty(max(bounds.grid_entries, triangles), dtype=int, device=device)
+
+    def build(self) -> Structure:
+        """Sort the triangles into cells."""
+        scene, device, grid = self._context.scene, self._context.frame.device, self._grid
+        count = scene.triangle_count
+        grid.box = scene_box(*scene.box())
+        along = cells_along(np.array(grid.box.half), min(_CELLS_PER_TRIANGLE * count, self._most_cells))
+        finest, boxes = wp.vec3i(*along), [self._lowers, self._uppers]
+        used = int(np.prod(along)) + 1
+        begins, start = self._begins[:used], grid.start[:used]
+        self._needed.zero_()
+        begins.zero_()
+        inputs = [grid.box, scene.vertices, scene.triangles, *boxes]
+        wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
+        inputs = [grid.box, finest, *boxes, self._needed]
+        wp.launch(count_memberships, dim=(int(_LEVELS), count), inputs=inputs, device=device)
+        capacity = wp.int64(grid.members.shape[0])
+        wp.launch(choose_shape, dim=1, inputs=[grid.box, finest, capacity, self._needed, grid.shape], device=device)
+        inputs = [grid.shape, *boxes, begins]
+        wp.launch(enter_cells, dim=count, inputs=[*inputs, self._no_members], device=device)
+        wp.utils.array_scan(begins, start, inclusive=False)
+        wp.copy(begins, start)
+        wp.launch(enter_cells, dim=count, inputs=[*inputs, grid.members], device=device)
+        return grid
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        grid = self._grid
+        arrays = (self._lowers, self._uppers, self._needed, self._begins, grid.shape, grid.start, grid.members)
+        return sum(int(array.capacity) for array in arrays)
+
+
+def cells_along(half: FloatArray, most: int) -> tuple[int, int, int]:
+    """Cells along each axis of a box of this half size: as near to cubes as may be, at most ``most``."""
+    low, high = 0.0, 4.0 * float(half.max())  # a size that makes too many of them, and one that does not
+    for _ in range(60):
+        size = 0.5 * (low + high)
+        enough = np.clip(2.0 * half / max(size, 1e-300), 1, _MOST_ALONG).astype(int).prod() > most
+        low, high = (size, high) if enough else (low, size)
+    x, y, z = (int(n) for n in np.clip(2.0 * half / max(high, 1e-300), 1, _MOST_ALONG))
+    return x, y, z
