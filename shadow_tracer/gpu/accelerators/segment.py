@@ -20,8 +20,8 @@ from shadow_tracer.scene.checks import FloatArray
 
 # Of boxes, in units of the scene's extent.
 PADDING = 2.0**-19
-# Where boxes lie that hold nothing: along y, beyond the scene's reach to 1 and all padding, apart from each other.
-_OUTSIDE = 1.02
+# Where boxes lie that hold nothing: here in x, beyond the scene's reach to 1 and all padding, each elsewhere in y.
+OUTSIDE = 1.02
 _FAR_AWAY = 2.0**26
 native.constants(BOX_PADDING=PADDING, FAR_AWAY=_FAR_AWAY)
 
@@ -57,7 +57,7 @@ def holds(held: tuple[FloatArray, FloatArray], low: FloatArray, high: FloatArray
 @wp.func
 def outside(i: int, boxes: int) -> wp.vec3:
     """Where box number ``i`` of so many lies if it holds nothing."""
-    return wp.vec3(_OUTSIDE, 2.0 * float(i) / float(boxes) - 1.0, 0.0)
+    return wp.vec3(OUTSIDE, 2.0 * float(i) / float(boxes) - 1.0, 0.0)
 
 
 @wp.kernel(enable_backward=False)
