@@ -72,13 +72,14 @@ class Context:
         occluders = Occluders()
         occluders.count, occluders.triangles = self.scene.triangle_count, self.scene.triangles
         occluders.records = self.records.of(work.first, len(work.lights))
+        occluders.records_apart = self.records.stride
         return occluders
 
     def key(self, work: Pass) -> tuple[Hashable, ...]:
         """All that launches of a pass depend on, contents of arrays aside."""
         records = self.records
         numbers = work.first, len(work.lights), self.frame.count, self.scene.triangle_count
-        return *numbers, records.place(work.first), records.front_face_culling
+        return *numbers, records.place(work.first), records.stride, records.front_face_culling
 
 
 @dataclass(frozen=True)

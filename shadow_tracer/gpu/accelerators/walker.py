@@ -16,7 +16,7 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 from shadow_tracer.gpu.device import forms, native
-from shadow_tracer.gpu.occluders.world import Revision
+from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, AnyHit, Mask, Query
 

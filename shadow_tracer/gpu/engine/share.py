@@ -19,7 +19,7 @@ from shadow_tracer.gpu.accelerators.registry import make_pipeline
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import COUNTERS
 from shadow_tracer.gpu.device.stages import Stages
-from shadow_tracer.gpu.occluders.world import Revision
+from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples import normals, pixels, rays
 from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
@@ -119,7 +119,7 @@ class Share:
         context, frame, lights = self.context, self.frame, len(work.lights)
 
         def pending() -> Pending:
-            counts = lights * frame.count, context.scene.triangle_count
+            counts = lights * frame.count, context.records.stride, context.scene.triangle_count
             return Pending(context.answers(work), *counts, frame.rays, context.records.of(work.first, lights))
 
         with self.stages.stage("resolve"):

@@ -28,7 +28,7 @@ struct Walk1 {
             const int left = lower.i, right = tree.node_uppers[node].i;
             if (lower.b) {
                 for (int k = left; k < right; ++k)
-                    if (query.visit(tree.primitive_indices[k]))
+                    if (Leaf::visit(tree.primitive_indices[k], query))
                         return true;
             } else {
                 const float to_left = enter(left), to_right = enter(right);

@@ -13,3 +13,9 @@ struct Hints {
             structure.hints.data[query.ray[0]] = query.hider;
     }
 };
+// A box of a tree. Those of a leaf that it has to spare hold nothing.
+struct Leaf {
+    static inline bool visit(int triangle, Query1& query) {
+        return triangle < query.triangle_count() && query.visit(triangle);
+    }
+};

@@ -28,7 +28,7 @@ struct Walk1 {
                     continue;
                 if (count[k] != INNER) {
                     for (int j = link[k]; j < link[k] + count[k]; ++j)
-                        if (query.visit(primitives[j]))
+                        if (Leaf::visit(primitives[j], query))
                             return true;
                     continue;
                 }

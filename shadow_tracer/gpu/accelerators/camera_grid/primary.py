@@ -35,7 +35,8 @@ from shadow_tracer.gpu.accelerators.camera_grid.setup import PLANE_COLUMNS, Grid
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.transfers import HostValues
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.occluders.corners import project_vertex_blocks, project_vertices
+from shadow_tracer.gpu.exact.records import BLOCK
+from shadow_tracer.gpu.occluders.corners import project
 from shadow_tracer.gpu.occluders.seen import prepare
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.scene.bounds import Bounds
@@ -46,7 +47,6 @@ _GROUP = 8
 _BLOCK = 2
 _MOST_THREADS = 256
 _FILL_THREADS = 65536
-_VERTICES_AT_ONCE = 256
 _COUNTERS = ("triangles", "degenerate", "entries", "largest_tile", "passes", *COUNTERS)
 
 
@@ -75,9 +75,9 @@ class PrimaryRays:
         if self._wide and tile != TILE:
             raise ValueError(f"tile: expected {TILE} for the CPU's form, got {tile}")
         rays, triangles, entries = bounds.max_rays, bounds.max_triangles, bounds.grid_entries
-        self.scene = SceneBuffers(bounds, device)
+        self.scene = SceneBuffers(bounds, device, ordered=True)
         self._frame = HostValues(LightFrame, 1, device)
-        self._corners = wp.empty(3 * triangles, dtype=wp.vec4, device=device)
+        self._corners = wp.empty(len(self.scene.vertices), dtype=wp.vec4, device=device)
         self._records = wp.empty((triangles, 4), dtype=wp.vec4, device=device)
         self._planes = wp.empty((triangles, PLANE_COLUMNS), dtype=wp.float64, device=device)
         self._pairs = wp.empty(entries, dtype=wp.vec2i, device=device)
@@ -88,8 +88,7 @@ class PrimaryRays:
         tiles = sum(rays // s**2 + (rays + 1) // s + 2 for s in (tile, side))
         self._starts = wp.empty(tiles + 1, dtype=int, device=device)
         self._cursor = wp.zeros(3, dtype=int, device=device)
-        self._degenerate = wp.zeros(64, dtype=int, device=device)
-        self._culled = wp.zeros(64, dtype=int, device=device)
+        self._silent = wp.zeros(-(-triangles // BLOCK), dtype=wp.vec2i, device=device)
         self._counters = wp.zeros(COUNTER_SHAPE, dtype=wp.int64, device=device)
         self._axes = [wp.empty(rays + tile, dtype=t, device=device) for t in (float, float, wp.float64, wp.float64)]
         self._table = wp.empty(rays, dtype=wp.vec2, device=device)
@@ -115,7 +114,7 @@ class PrimaryRays:
         depth = self._image.depth.numpy()[:rays].copy()
         triangle = self._image.triangle.numpy()[:rays].copy()
         totals = self._counters.numpy().sum(axis=0)
-        degenerate = int(self._degenerate.numpy().sum())
+        degenerate = int(self._silent.numpy()[: -(-count // BLOCK), 0].sum())
         values = (count, degenerate, *passes, *(int(total) for total in totals))
         return Seen(depth, triangle, {"rays": rays, **dict(zip(_COUNTERS, values, strict=True))})
 
@@ -166,15 +165,9 @@ class PrimaryRays:
 
     def _set_up(self, count: int) -> None:
         device, scene = self._device, self.scene
-        prepare(self._frame.array, scene, self._records, False, self._degenerate, self._culled)
-        vertices = scene.vertex_count
-        if forms.wide(device):
-            blocks = -(-vertices // _VERTICES_AT_ONCE)
-            inputs = [self._frame.array, vertices, scene.vertices, self._corners]
-            wp.launch(project_vertex_blocks, dim=blocks, inputs=inputs, device=device)
-        else:
-            inputs = [self._frame.array, scene.vertices, self._corners]
-            wp.launch(project_vertices, dim=vertices, inputs=inputs, device=device)
+        self._silent.zero_()
+        prepare(self._frame.array, scene, self._records, False, self._silent)
+        project(self._frame.array, scene.vertices, self._corners, (0, scene.vertex_count))
         inputs = [self._grid, scene.vertices, scene.triangles, self._records, self._planes]
         wp.launch(pack_triangles, dim=count, inputs=inputs, device=device)
 
