@@ -18,14 +18,12 @@ from shadow_tracer.gpu.accelerators.registry import AUTO, available_pipelines, r
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import LARGEST, BoundsError, positions_of, unmasked_depth, valid_points
-from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
+from shadow_tracer.scene.checks import positions_of, valid_points
+from shadow_tracer.scene.frame_checks import Lights, check_frame, check_lights, check_points
+from shadow_tracer.scene.lights import Light, PointLight, SphereLight
 from shadow_tracer.scene.mesh import Scene
 from shadow_tracer.visibility import Frame, State
 
-_HARD = (PointLight, SpotLight, DirectionalLight)
-_LIGHTS = (*_HARD, SphereLight)
-Lights = tuple[Light, ...]
 _SECONDS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobody is named
 
 
@@ -79,7 +77,8 @@ class ShadowTracer:
         elif isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or not 1 <= threads <= 64:
             raise ValueError(f"threads: expected an integer from 1 to 64, or None, got {threads!r}")
         self._engine = engine.Engine(devices.pick_device(device), self._bounds, *names, graphs, int(threads))
-        self._last: tuple[tuple[Any, ...], Frame] | None = None  # what was traced last, and the answer
+        # Of each set of samples what was traced last, and the answer.
+        self._last: dict[str, tuple[tuple[Any, ...], Frame]] = {}
         self.front_face_culling = front_face_culling
         self.scene = Scene(self._bounds)
         """The world; change it through its methods between frames."""
@@ -146,7 +145,7 @@ class ShadowTracer:
         """
         names = resolve(pipeline, variant)
         if names != self._engine.names:
-            self._last = None
+            self._last.clear()
             self._engine.select(*names)
 
     def warm_up(self) -> float:
@@ -166,7 +165,7 @@ class ShadowTracer:
         return time.perf_counter() - begin
 
     def _trace_triangle(self, second: bool = False) -> None:
-        self._last = None
+        self._last.clear()
         scene = Scene(self._bounds)
         scene.put("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1)], [(0, 1, 2)])
         camera = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
@@ -177,43 +176,46 @@ class ShadowTracer:
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
         self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, second=second)
 
-    def occluded(self, points: Any, light: Light, bias: float = 0.0) -> npt.NDArray[np.bool_]:
+    @property
+    def sample_sets(self) -> tuple[str, ...]:
+        """Names of the sets of samples in use, at most ``bounds.max_sample_sets``."""
+        return self._engine.sets
+
+    def release_samples(self, samples: str) -> None:
+        """Let another name have the buffers of a set of samples; nothing happens if there is none of that name."""
+        self._last.pop(samples, None)
+        self._engine.release_samples(samples)
+
+    def occluded(self, points: Any, light: Light, bias: float = 0.0, samples: str = "") -> npt.NDArray[np.bool_]:
         """Whether each point is in the shadow of ``light``.
 
         Args:
             points: (..., 3) positions in the world [m], finite; any leading shape, also none.
             light: a point, spot or directional light. Points outside its cone or range are not in its shadow.
             bias: distance from the point towards the light at which occluders begin to count [m].
+            samples: as for :meth:`trace`.
 
         Returns:
             Boolean array of the leading shape.
 
         Raises:
             ValueError: wrong shape, a value that is not finite (its index is named), or not a light.
+            BoundsError: no set of samples is free.
         """
-        positions, flat = positions_of(points)
-        valid = valid_points(flat)
-        if valid is not None:
-            bad = int(np.flatnonzero(~valid)[0])
-            where = tuple(int(k) for k in np.unravel_index(bad, positions.shape[:-1]))
-            raise ValueError(
-                f"points: expected finite positions of at most {LARGEST:g}, got {flat[bad].tolist()} at index {where} "
-                f"and {int((~valid).sum())} such points in all; select the finite ones first"
-            )
-        if not isinstance(light, _HARD):
-            hint = "; states_at says where none, some or all of it reaches" if isinstance(light, SphereLight) else ""
-            got = type(light).__name__
-            raise ValueError(f"light: expected a PointLight, SpotLight or DirectionalLight, got {got}{hint}")
+        positions, flat = check_points(points, light)
         constant = Bias(constant=bias).constant
         hidden = np.empty(len(flat), dtype=np.bool_)
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
             hidden[piece] = (
-                self._engine.trace_points(self.scene, flat[piece], [light], constant).states[0] == State.SHADOWED
+                self._engine.trace_points(self.scene, flat[piece], [light], constant, samples=samples).states[0]
+                == State.SHADOWED
             )
         return hidden.reshape(positions.shape[:-1])
 
-    def states_at(self, points: Any, lights: Iterable[Light], bias: float = 0.0) -> npt.NDArray[np.uint8]:
+    def states_at(
+        self, points: Any, lights: Iterable[Light], bias: float = 0.0, samples: str = ""
+    ) -> npt.NDArray[np.uint8]:
         """What is known about each point and light: what :meth:`trace` says of pixels.
 
         Args:
@@ -221,16 +223,17 @@ class ShadowTracer:
                 not finite, beyond 1e50 or masked, are INVALID.
             lights: any iterable of at least one light, with different names.
             bias: distance from the point towards the light at which occluders begin to count [m].
+            samples: as for :meth:`trace`.
 
         Returns:
             (L, ...) uint8 array of :class:`State` values: light after light, each of the leading shape.
 
         Raises:
             ValueError: an argument is malformed; the message names it.
-            BoundsError: more lights than declared.
+            BoundsError: more lights than declared, or no set of samples is free.
         """
         positions, flat = positions_of(points)
-        checked = self._check_lights(lights)
+        checked = check_lights(self._bounds, lights)
         constant = Bias(constant=bias).constant
         valid = valid_points(flat)
         if valid is not None:
@@ -239,11 +242,18 @@ class ShadowTracer:
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
             some = None if valid is None else valid[piece]
-            traced = self._engine.trace_points(self.scene, flat[piece], checked, constant, some)
+            traced = self._engine.trace_points(self.scene, flat[piece], checked, constant, some, samples=samples)
             states[:, piece] = traced.states
         return states.reshape(len(checked), *positions.shape[:-1])
 
-    def trace(self, depth: Any, camera: Camera, lights: Iterable[Light], bias: Bias | float | None = None) -> Frame:
+    def trace(
+        self,
+        depth: Any,
+        camera: Camera,
+        lights: Iterable[Light],
+        bias: Bias | float | None = None,
+        samples: str = "",
+    ) -> Frame:
         """Which pixels does each light reach?
 
         Args:
@@ -252,15 +262,18 @@ class ShadowTracer:
             camera: intrinsics and pose; its size must be that of ``depth``.
             lights: any iterable of at least one light, with different names.
             bias: where rays start; a number is a constant in metres, None is ``Bias()``, a centimetre.
+            samples: name of the set of samples, which keeps from frame to frame what can be used again (rays, where
+                the image is cut between cores, the anchor of float32 numbers): with one each, two cameras in turn do
+                not disturb each other. A new name takes a free set; ``bounds.max_sample_sets`` says how many there are.
 
         Returns:
             A :class:`Frame`; its arrays stay valid after further calls.
 
         Raises:
             ValueError: an argument is malformed; the message names it.
-            BoundsError: the image or the number of lights exceeds the declared bounds.
+            BoundsError: the image or the number of lights exceeds the declared bounds, or no set of samples is free.
         """
-        return self._trace_anew(*self._check_frame(depth, camera, lights, bias))
+        return self._trace_anew(samples, *check_frame(self._bounds, depth, camera, lights, bias))
 
     def verify(
         self,
@@ -269,6 +282,7 @@ class ShadowTracer:
         lights: Iterable[Light],
         bias: Bias | float | None = None,
         against: str | None = None,
+        samples: str = "",
     ) -> int:
         """In how many (pixel, light) pairs the answer differs from that of a second, different pipeline; 0 is right.
 
@@ -285,7 +299,7 @@ class ShadowTracer:
         until :meth:`select` chooses that pipeline. Right after it, :meth:`trace` sets up its triangles again.
 
         Args:
-            depth, camera, lights, bias: as for :meth:`trace`.
+            depth, camera, lights, bias, samples: as for :meth:`trace`.
             against: the second pipeline, in its default variant; another one than in use, and none of those that auto
                 chooses among where that is in use: it may be in office. None is the one prepared, or the first of
                 mesh_bvh, light_grid and cone_hierarchy that this leaves.
@@ -297,13 +311,14 @@ class ShadowTracer:
             ValueError: an argument is malformed; the message names it.
             BoundsError: the image or the number of lights exceeds the declared bounds.
         """
-        what = self._check_frame(depth, camera, lights, bias)
+        what = check_frame(self._bounds, depth, camera, lights, bias)
         self._employ(against)
-        if self._last is not None and self._last[0] == self._key(*what) and self._engine.holds(what[0]):
-            answer = self._last[1]
+        last = self._last.get(samples)
+        if last is not None and last[0] == self._key(*what) and self._engine.holds(what[0], samples):
+            answer = last[1]
         else:
-            answer = self._trace_anew(*what)
-        return answer.differing(self._trace(*what, second=True))
+            answer = self._trace_anew(samples, *what)
+        return answer.differing(self._trace(samples, *what, second=True))
 
     def prepare_verify(self, against: str | None = None) -> float:
         """Allocate the buffers of :meth:`verify`'s second pipeline and compile or load its kernels, so that no frame
@@ -334,18 +349,25 @@ class ShadowTracer:
         what = (id(camera), camera), lights, bias, image.dtype
         return *what, self.scene.revision, self.front_face_culling
 
-    def _trace_anew(self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> Frame:
-        """A frame by the tracer's own pipeline: from now on the last one, or there is none if this raises."""
-        self._last = None
-        frame = self._trace(image, camera, lights, bias)
-        self._last = self._key(image, camera, lights, bias), frame
+    def _trace_anew(self, samples: str, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> Frame:
+        """A frame by the tracer's own pipeline: from now on the last one of a set of samples, or there is none if this
+        raises."""
+        self._last.pop(samples, None)
+        frame = self._trace(samples, image, camera, lights, bias)
+        self._last[samples] = self._key(image, camera, lights, bias), frame
         return frame
 
     def _trace(
-        self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias, second: bool = False
+        self,
+        samples: str,
+        image: npt.NDArray[Any],
+        camera: Camera,
+        lights: Lights,
+        bias: Bias,
+        second: bool = False,
     ) -> Frame:
         """A frame by the tracer's own pipeline, or by the second one."""
-        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, second)
+        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, second, samples)
         reached = {
             light.name: (result.reached[number].reshape(image.shape), light.samples)
             for number, light in enumerate(lights)
@@ -353,52 +375,3 @@ class ShadowTracer:
         }
         names = tuple(light.name for light in lights)
         return Frame(names, image.shape, result.found, result.stages, result.counters, reached)
-
-    def _check_frame(
-        self, depth: Any, camera: Camera, lights: Iterable[Light], bias: Bias | float | None
-    ) -> tuple[npt.NDArray[Any], Camera, Lights, Bias]:
-        image = unmasked_depth(depth)
-        if image.ndim != 2:
-            raise ValueError(f"depth: expected shape (H, W), got {image.shape}")
-        if image.dtype not in (np.float32, np.uint16):
-            raise ValueError(f"depth: expected dtype float32 (metres) or uint16 (millimetres), got {image.dtype}")
-        if not isinstance(camera, Camera):
-            raise ValueError(f"camera: expected a Camera, got {type(camera).__name__}")
-        if image.shape != (camera.height, camera.width):
-            raise ValueError(
-                f"depth: expected shape {(camera.height, camera.width)} as the camera has, got {image.shape}"
-            )
-        if image.size > self._bounds.max_rays:
-            raise BoundsError(
-                f"bounds.max_rays: the image has {camera.width} x {camera.height} = {image.size} pixels, "
-                f"but the bound is {self._bounds.max_rays}"
-            )
-        checked = self._check_lights(lights)
-        if bias is None:
-            bias = Bias()
-        elif not isinstance(bias, Bias):
-            bias = Bias(constant=bias)
-        return np.ascontiguousarray(image), camera, checked, bias
-
-    def _check_lights(self, lights: Iterable[Light]) -> Lights:
-        if isinstance(lights, _LIGHTS):
-            raise ValueError("lights: expected an iterable of lights, got a single light; write [light]")
-        if not isinstance(lights, Iterable):
-            raise ValueError(f"lights: expected an iterable of lights, got {type(lights).__name__}")
-        checked = tuple(lights)  # read once: it may be a generator
-        for index, light in enumerate(checked):
-            _check_light(light, f"lights[{index}]")
-        names = [light.name for light in checked]
-        if not names:
-            raise ValueError("lights: expected at least one light, got none")
-        if len(set(names)) != len(names):
-            raise ValueError(f"lights: expected different names, got {names}")
-        if len(names) > self._bounds.max_lights:
-            raise BoundsError(f"bounds.max_lights: got {len(names)} lights, but the bound is {self._bounds.max_lights}")
-        return checked
-
-
-def _check_light(light: Any, field: str) -> None:
-    if not isinstance(light, _LIGHTS):
-        kinds = "PointLight, SpotLight, DirectionalLight or SphereLight"
-        raise ValueError(f"{field}: expected a {kinds}, got {type(light).__name__}")

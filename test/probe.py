@@ -66,18 +66,22 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
     tracer.scene.clear()
     tracer.front_face_culling = False
     tracer.release_verify()
-    tracer._last = None
+    for samples in tracer.sample_sets:
+        tracer.release_samples(samples)
+    tracer._last.clear()
     engine: Any = tracer._engine
-    inside: Any = engine.inside
-    inside._anchor, inside._lights = None, ()
-    inside._samples.forget()
-    inside._context.records.forget()
-    inside._balances = {names: type(balance)(balance._shares) for names, balance in inside._balances.items()}
     if engine._chooser is not None:
-        engine._chooser = inside._chooser = type(engine._chooser)(engine._chooser.candidates)
-        inside._team = inside._teams[engine._chooser.candidates[0]]
-    for share in inside._all_shares():
-        _forget(share)
+        engine._chooser = type(engine._chooser)(engine._chooser.candidates)
+    for inside in engine._seat.run(engine._found).tracers:
+        inside._anchor, inside._lights = None, ()
+        inside._samples.forget()
+        inside._context.records.forget()
+        inside._balances = {names: type(balance)(balance._shares) for names, balance in inside._balances.items()}
+        if engine._chooser is not None:
+            inside._chooser = engine._chooser
+            inside._team = inside._teams[engine._chooser.candidates[0]]
+        for share in inside._all_shares():
+            _forget(share)
     return tracer
 
 
@@ -126,6 +130,14 @@ def structure(tracer: ShadowTracer) -> Any:
     """What the rays of a walker go through, of its only share."""
     inside: Any = tracer._engine.inside
     return inside._pipeline.structure
+
+
+def kept(tracer: ShadowTracer, samples: str) -> tuple[Any, list[tuple[int, int]]]:
+    """What a set of samples keeps from frame to frame: its anchor, and the first pixel and number of pixels of each of
+    its shares."""
+    engine: Any = tracer._engine
+    inside = engine._seat.run(engine._found).tracers[engine._sets[samples]]
+    return inside._anchor, [(share.frame.first, share.frame.count) for share in inside._team]
 
 
 def forget_anchor(tracer: ShadowTracer) -> None:

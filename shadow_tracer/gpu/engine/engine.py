@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Device side of a tracer: what stays when a frame does not end.
+"""Device side of a tracer: its sets of samples, the scene that they share, and what stays when a frame does not end.
 
 An exception can reach a frame between any two steps: Ctrl-C, a signal handler that raises, a timeout, no memory. What
-was half done then is not searched for but thrown away: a frame takes the :class:`FrameTracer` out of the engine and
-puts it back at its end, so that after any other end the next frame finds none, and all buffers are allocated again.
+was half done then is not searched for but thrown away: a frame takes the :class:`FrameTracer` of all sets and the scene
+out of the engine and puts them back at its end, so that after any other end the next frame finds none, and all buffers
+are allocated again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,15 +27,24 @@ from shadow_tracer.gpu.engine.calibration import calibrate
 from shadow_tracer.gpu.engine.cuts import share_count
 from shadow_tracer.gpu.engine.frame import FrameTracer, Loaded
 from shadow_tracer.gpu.engine.gather import Traced
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.held import Source
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.checks import BoundsError, FloatArray
 from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.mesh import Scene
 
 _Result = TypeVar("_Result")
+
+
+@dataclass
+class _Inside:
+    """Everything on the device."""
+
+    scene: SceneBuffers
+    tracers: list[FrameTracer]  # of each set of samples
 
 
 class Engine:
@@ -56,41 +68,76 @@ class Engine:
         self._names: Names = (pipeline, variant)
         self._chooser = _chooser_of(self._names)
         self._second: Names | None = None
-        self._tracer: FrameTracer | None = None
+        self._sets: dict[str, int] = {}
+        self._inside: _Inside | None = None
         self._seat.run(self._found)
 
-    def _whole(self, frame: Callable[[FrameTracer], _Result], needs: Sequence[Hashable] = ()) -> _Result:
-        """Do ``frame`` to the end; it launches the kernels ``needs``."""
+    def _whole(self, frame: Callable[[list[FrameTracer]], _Result], needs: Sequence[Hashable] = ()) -> _Result:
+        """Do ``frame``, with the tracers of all sets, to the end; it launches the kernels ``needs``."""
         return self._seat.run(lambda: self._do(frame), needs)
 
-    def _do(self, frame: Callable[[FrameTracer], _Result]) -> _Result:
-        tracer = self._found()
-        self._tracer = None
-        result = frame(tracer)
-        self._tracer = tracer
+    def _do(self, frame: Callable[[list[FrameTracer]], _Result]) -> _Result:
+        inside = self._found()
+        self._inside = None
+        result = frame(inside.tracers)
+        self._inside = inside
         return result
 
-    def _found(self) -> FrameTracer:
-        if self._tracer is None:
+    def _found(self) -> _Inside:
+        if self._inside is None:
             self._workers.settle()
             if self._graphs:
                 end_recording(self.device)
             if self.device.is_cuda:
                 wp.synchronize_device(self.device)
-            names, chooser, seat = self._names, self._chooser, self._seat
-            made = FrameTracer(
-                self.device, self.bounds, names, chooser, self._graphs, self._workers, (self._loaded, seat.loaded)
-            )
-            made.front_face_culling = self._culling
-            if self._second is not None:
-                made.employ_second(*self._second)
-            self._tracer = made
-        return self._tracer
+            scene = SceneBuffers(self.bounds, self.device)
+            self._inside = _Inside(scene, [self._make(scene) for _ in range(self.bounds.max_sample_sets)])
+        return self._inside
+
+    def _make(self, scene: SceneBuffers) -> FrameTracer:
+        loaded = self._loaded, self._seat.loaded
+        made = FrameTracer(
+            self.device, self.bounds, scene, self._names, self._chooser, self._graphs, self._workers, loaded
+        )
+        made.front_face_culling = self._culling
+        if self._second is not None:
+            made.employ_second(*self._second)
+        return made
 
     @property
     def inside(self) -> FrameTracer:
-        """What traces the frames, made again if a frame has not ended."""
-        return self._seat.run(self._found)
+        """What traces the frames of the first set of samples, made again if a frame has not ended."""
+        return self._seat.run(self._found).tracers[0]
+
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """Names of the sets of samples in use."""
+        return tuple(self._sets)
+
+    def _number(self, samples: str | None) -> int:
+        """Of the set of samples with a name, which it gets now if it is new; None is the first set, whatever its name.
+
+        Raises:
+            ValueError: no string.
+            BoundsError: all sets have other names.
+        """
+        if samples is None:
+            return 0
+        if not isinstance(samples, str):
+            raise ValueError(f"samples: expected a string, got {samples!r}")
+        if samples not in self._sets:
+            free = set(range(self.bounds.max_sample_sets)) - set(self._sets.values())
+            if not free:
+                raise BoundsError(
+                    f"bounds.max_sample_sets: {samples!r} would be one more than {', '.join(map(repr, self._sets))}, "
+                    f"but the bound is {self.bounds.max_sample_sets}"
+                )
+            self._sets[samples] = min(free)
+        return self._sets[samples]
+
+    def release_samples(self, samples: str) -> None:
+        """Let another name have a set's buffers."""
+        self._sets.pop(samples, None)
 
     @property
     def threads(self) -> int:
@@ -108,13 +155,14 @@ class Engine:
         changed."""
         names = (pipeline, variant)
         chooser = _chooser_of(names)
-        made = self._seat.run(lambda: self._found().make_teams(names, chooser))
+        made = self._seat.run(lambda: [tracer.make_teams(names, chooser) for tracer in self._found().tracers])
 
-        def take(tracer: FrameTracer) -> None:
+        def take(tracers: list[FrameTracer]) -> None:
             self._names, self._chooser = names, chooser
             if self.second in self.pipelines:
                 self._second = None
-            tracer.take(*made)
+            for tracer, teams in zip(tracers, made, strict=True):
+                tracer.take(*teams)
 
         self._whole(take)
 
@@ -144,7 +192,8 @@ class Engine:
 
         def employ() -> None:
             self._second = None
-            self._found().employ_second(pipeline, variant)
+            for tracer in self._found().tracers:
+                tracer.employ_second(pipeline, variant)
             self._second = (pipeline, variant)
 
         self._seat.run(employ)
@@ -152,7 +201,8 @@ class Engine:
     def release_second(self) -> None:
         """Free the second pipeline's buffers, if there are any, and what it alone has made of the scene."""
         self._second = None
-        self.inside.release_second()
+        for tracer in self._seat.run(self._found).tracers:
+            tracer.release_second()
 
     @property
     def front_face_culling(self) -> bool:
@@ -161,19 +211,22 @@ class Engine:
 
     @front_face_culling.setter
     def front_face_culling(self, value: bool) -> None:
-        def cull(tracer: FrameTracer) -> None:
-            self._culling = tracer.front_face_culling = value
+        def cull(tracers: list[FrameTracer]) -> None:
+            self._culling = value
+            for tracer in tracers:
+                tracer.front_face_culling = value
 
         self._whole(cull)
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
-        return self.inside.nbytes()
+        inside = self._seat.run(self._found)
+        return inside.scene.nbytes() + sum(tracer.nbytes() for tracer in inside.tracers)
 
-    def holds(self, depth: np.ndarray) -> bool:
-        """Whether ``depth`` is, bit for bit, the depth image last traced, whatever points have been asked for since.
-        Waits for the device."""
-        return self.inside.holds(depth)
+    def holds(self, depth: np.ndarray, samples: str | None = None) -> bool:
+        """Whether ``depth`` is, bit for bit, the depth image last traced with a set of samples, whatever points have
+        been asked for since. Waits for the device."""
+        return self._seat.run(self._found).tracers[self._number(samples)].holds(depth)
 
     def trace_depth(
         self,
@@ -183,11 +236,19 @@ class Engine:
         lights: Sequence[Light],
         bias: Bias,
         second: bool = False,
+        samples: str | None = None,
     ) -> Traced:
         """States of all pixels for all lights, by the second pipeline if so wished. Arguments have been checked:
-        float32 metres or uint16 millimetres, C order."""
+        float32 metres or uint16 millimetres, C order; ``samples``: name of the set of samples, new ones get a free
+        one; None is the first set, whatever its name.
+
+        Raises:
+            BoundsError: none is free.
+        """
         frame = (Source.of(depth, bias).name, scene.triangle_count > 0)
-        return self._trace(lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), second, frame)
+        return self._trace(
+            lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), second, frame, samples
+        )
 
     def trace_points(
         self,
@@ -197,19 +258,28 @@ class Engine:
         bias: float,
         valid: npt.NDArray[np.bool_] | None = None,
         second: bool = False,
+        samples: str | None = None,
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
-        is all valid."""
+        is all valid. As ``trace_depth`` otherwise."""
         frame = (None, scene.triangle_count > 0)
-        return self._trace(lambda tracer: tracer.trace_points(scene, points, lights, bias, valid), second, frame)
+        trace = partial(FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid)
+        return self._trace(trace, second, frame, samples)
 
-    def _trace(self, trace: Callable[[FrameTracer], Traced], second: bool, frame: tuple[str | None, bool]) -> Traced:
+    def _trace(
+        self, trace: Callable[[FrameTracer], Traced], second: bool, frame: tuple[str | None, bool], samples: str | None
+    ) -> Traced:
         """By the second pipeline, or not; ``frame``: the format of its image, and whether there are triangles."""
+        number = self._number(samples)
+
+        def by_second(tracers: list[FrameTracer]) -> Traced:
+            return tracers[number].second_opinion(lambda: trace(tracers[number]))
+
         if second:
             assert self._second is not None
-            return self._whole(lambda tracer: tracer.second_opinion(lambda: trace(tracer)), [(self._second, *frame)])
+            return self._whole(by_second, [(self._second, *frame)])
         candidates = self._chooser.candidates if self._chooser else [self._names]
-        return self._whole(trace, [(names, *frame) for names in candidates])
+        return self._whole(lambda tracers: trace(tracers[number]), [(names, *frame) for names in candidates])
 
 
 def _chooser_of(names: Names) -> Chooser | None:

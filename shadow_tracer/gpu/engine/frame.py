@@ -26,7 +26,7 @@ from shadow_tracer.gpu.engine.share import Share
 from shadow_tracer.gpu.engine.spheres import trace_spheres
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
-from shadow_tracer.gpu.occluders.changes import Changed
+from shadow_tracer.gpu.occluders.changes import Changed, Revision
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.anchor import depth_anchor, points_anchor
@@ -48,11 +48,13 @@ Loaded = tuple[Names, str | None, bool]
 
 
 class FrameTracer:
-    """Traces frames, one after the other, with buffers that are allocated here and never again.
+    """Traces the frames of a set of samples, one after the other, with buffers that are allocated here and never again.
+    Rays, cuts and anchor are kept from frame to frame.
 
     It is thrown away after a frame that did not end (``engine.py``): nothing here has to be right in the middle of one.
 
     Args:
+        scene: the world, which other sets of samples share.
         names: pipeline and variant.
         chooser: who chooses the pipeline of each frame; None if it is always ``names``.
         graphs: whether frames are recorded where the pipeline allows it.
@@ -64,6 +66,7 @@ class FrameTracer:
         self,
         device: Any,
         bounds: Bounds,
+        scene: SceneBuffers,
         names: Names,
         chooser: Chooser | None,
         graphs: bool,
@@ -81,7 +84,7 @@ class FrameTracer:
         mirrored = not forms.wide(device) or graphs
         self._frame = FrameBuffers(bounds, device, workers.count, mirrored=mirrored)
         self._planes = StatePlanes(self._frame) if mirrored else None
-        self._scene = SceneBuffers(bounds, device, self._frame.upload)
+        self._scene, self._synced = scene, Revision()
         records = TriangleRecords(bounds, self._scene, self._frame.light_frame_of, self._frame.host)
         self._context = Context(self._frame, self._scene, records, self.stages)
         self._anchor: Anchor | None = None
@@ -172,9 +175,8 @@ class FrameTracer:
         self._context.records.front_face_culling = value
 
     def nbytes(self) -> int:
-        """Bytes reserved on the device."""
-        own = self._frame.nbytes() + self._scene.nbytes()
-        own += self._context.records.nbytes() + self._context.shared.nbytes()
+        """Bytes reserved on the device, the scene aside."""
+        own = self._frame.nbytes() + self._context.records.nbytes() + self._context.shared.nbytes()
         own += self._planes.nbytes() if self._planes else 0
         return own + sum(share.nbytes() for share in self._all_shares())
 
@@ -189,7 +191,7 @@ class FrameTracer:
         """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
         order."""
         self._begin_frame()
-        before = self._scene.revision
+        before = self._synced
         with self.stages.stage("upload"):
             situation = self._choose(self._sync(scene), depth.size, lights)
             begin, team = time.perf_counter(), self._working(depth.size)
@@ -265,10 +267,10 @@ class FrameTracer:
         return [*shares, self._second] if self._second else shares
 
     def _sync(self, scene: Scene) -> int:
-        """Copy the scene; returns what has changed of it: 0 nothing, 1 positions, 2 triangles."""
-        before = self._scene.revision
+        """Copy the scene; returns what has changed of it since the last frame: 0 nothing, 1 positions, 2 triangles."""
+        before = self._synced
         self._scene.sync(scene)
-        after = self._scene.revision
+        self._synced = after = self._scene.revision
         return 0 if after == before else 1 if after.topology == before.topology else 2
 
     def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Source | None) -> Traced:
