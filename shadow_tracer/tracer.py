@@ -24,7 +24,7 @@ from shadow_tracer.scene.lights import Light, PointLight, SphereLight
 from shadow_tracer.scene.mesh import Scene
 from shadow_tracer.visibility import Frame, State
 
-_SECONDS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobody is named
+_VERIFIERS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobody is named
 
 
 class ShadowTracer:
@@ -164,7 +164,7 @@ class ShadowTracer:
             self._engine.calibrate()
         return time.perf_counter() - begin
 
-    def _trace_triangle(self, second: bool = False) -> None:
+    def _trace_triangle(self, verify: bool = False) -> None:
         self._last.clear()
         scene = Scene(self._bounds)
         scene.put("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1)], [(0, 1, 2)])
@@ -172,9 +172,9 @@ class ShadowTracer:
         light = PointLight("lamp", (0.0, 0.0, 0.0))
         for depth in (np.full((1, 1), 2.0, np.float32), np.full((1, 1), 2000, np.uint16)):
             for bias in (Bias(0.0), Bias(0.0, normal=1.0)):
-                self._engine.trace_depth(scene, depth, camera, [light], bias, second)
+                self._engine.trace_depth(scene, depth, camera, [light], bias, verify)
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
-        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, second=second)
+        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, verify=verify)
 
     @property
     def sample_sets(self) -> tuple[str, ...]:
@@ -291,18 +291,19 @@ class ShadowTracer:
         since; then this costs one trace by the second pipeline. Else the frame is traced by the tracer's own pipeline
         first, as :meth:`trace` would.
 
-        The second pipeline is given the image, the camera and the lights once more, makes its own rays and triangle
-        records and keeps its own search structure. It shares the copy of the scene on the device, and the arithmetic
-        of a single sample and triangle: what it cannot notice is damage to these.
+        The second pipeline is given the image, the camera and the lights once more, and has separate buffers for
+        samples, rays, triangle records and its search structure. It shares the copy of the scene on the device, and the
+        arithmetic of a single sample and triangle: what it cannot notice is damage to these. After a difference,
+        nothing that the set of samples has kept is used again.
 
         The first call, or :meth:`prepare_verify`, allocates its buffers; they are kept until :meth:`release_verify` or
-        until :meth:`select` chooses that pipeline. Right after it, :meth:`trace` sets up its triangles again.
+        until :meth:`select` chooses that pipeline.
 
         Args:
             depth, camera, lights, bias, samples: as for :meth:`trace`.
             against: the second pipeline, in its default variant; another one than in use, and none of those that auto
-                chooses among where that is in use: it may be in office. None is the one prepared, or the first of
-                mesh_bvh, light_grid and cone_hierarchy that this leaves.
+                chooses among where that is in use: it may be the one that traces. None is the one prepared, or the
+                first of mesh_bvh, light_grid and cone_hierarchy that this leaves.
 
         Returns:
             Number of pairs, at most H * W * len(lights).
@@ -312,13 +313,16 @@ class ShadowTracer:
             BoundsError: the image or the number of lights exceeds the declared bounds.
         """
         what = check_frame(self._bounds, depth, camera, lights, bias)
-        self._employ(against)
+        self._prepare_verifier(against)
         last = self._last.get(samples)
         if last is not None and last[0] == self._key(*what) and self._engine.holds(what[0], samples):
             answer = last[1]
         else:
             answer = self._trace_anew(samples, *what)
-        return answer.differing(self._trace(samples, *what, second=True))
+        wrong = answer.differing(self._trace(samples, *what, verify=True))
+        if wrong:
+            self._engine.forget(samples)
+        return wrong
 
     def prepare_verify(self, against: str | None = None) -> float:
         """Allocate the buffers of :meth:`verify`'s second pipeline and compile or load its kernels, so that no frame
@@ -328,21 +332,21 @@ class ShadowTracer:
             ValueError: ``against`` is not another pipeline than the one in use.
         """
         begin = time.perf_counter()
-        self._employ(against)
-        self._trace_triangle(second=True)
+        self._prepare_verifier(against)
+        self._trace_triangle(verify=True)
         return time.perf_counter() - begin
 
     def release_verify(self) -> None:
         """Free the buffers of :meth:`verify`'s second pipeline, if there are any."""
-        self._engine.release_second()
+        self._engine.release_verifier()
 
-    def _employ(self, against: str | None) -> None:
+    def _prepare_verifier(self, against: str | None) -> None:
         others = [name for name in available_pipelines() if name != AUTO and name not in self._engine.pipelines]
         if against is None:
-            against = self._engine.second or next(name for name in _SECONDS if name in others)
+            against = self._engine.verifier or next(name for name in _VERIFIERS if name in others)
         if against not in others:
             raise ValueError(f"against: expected one of {', '.join(others)}, got {against!r}")
-        self._engine.employ_second(*resolve(against, None))
+        self._engine.prepare_verifier(*resolve(against, None))
 
     def _key(self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> tuple[Any, ...]:
         # Cameras and lights are compared by identity: they are frozen, and those of a node are the same for both calls.
@@ -364,10 +368,10 @@ class ShadowTracer:
         camera: Camera,
         lights: Lights,
         bias: Bias,
-        second: bool = False,
+        verify: bool = False,
     ) -> Frame:
-        """A frame by the tracer's own pipeline, or by the second one."""
-        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, second, samples)
+        """A frame by the tracer's own pipeline, or by the one that verifies."""
+        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, verify, samples)
         reached = {
             light.name: (result.reached[number].reshape(image.shape), light.samples)
             for number, light in enumerate(lights)

@@ -45,6 +45,11 @@ class _Inside:
 
     scene: SceneBuffers
     tracers: list[FrameTracer]  # of each set of samples
+    verifier: FrameTracer | None = None  # of another pipeline, which shares nothing but the scene
+
+    def all(self) -> list[FrameTracer]:
+        """Those of the sets, and the verifier."""
+        return [*self.tracers, self.verifier] if self.verifier else self.tracers
 
 
 class Engine:
@@ -67,19 +72,19 @@ class Engine:
         self._culling = False
         self._names: Names = (pipeline, variant)
         self._chooser = _chooser_of(self._names)
-        self._second: Names | None = None
+        self._verifier: Names | None = None
         self._sets: dict[str, int] = {}
         self._inside: _Inside | None = None
         self._seat.run(self._found)
 
-    def _whole(self, frame: Callable[[list[FrameTracer]], _Result], needs: Sequence[Hashable] = ()) -> _Result:
-        """Do ``frame``, with the tracers of all sets, to the end; it launches the kernels ``needs``."""
+    def _whole(self, frame: Callable[[_Inside], _Result], needs: Sequence[Hashable] = ()) -> _Result:
+        """Do ``frame`` to the end; it launches the kernels ``needs``."""
         return self._seat.run(lambda: self._do(frame), needs)
 
-    def _do(self, frame: Callable[[list[FrameTracer]], _Result]) -> _Result:
+    def _do(self, frame: Callable[[_Inside], _Result]) -> _Result:
         inside = self._found()
         self._inside = None
-        result = frame(inside.tracers)
+        result = frame(inside)
         self._inside = inside
         return result
 
@@ -91,17 +96,19 @@ class Engine:
             if self.device.is_cuda:
                 wp.synchronize_device(self.device)
             scene = SceneBuffers(self.bounds, self.device)
-            self._inside = _Inside(scene, [self._make(scene) for _ in range(self.bounds.max_sample_sets)])
+            made = [
+                self._make(scene, self._names, self._chooser, self._graphs) for _ in range(self.bounds.max_sample_sets)
+            ]
+            verifier = self._make(scene, self._verifier) if self._verifier else None
+            self._inside = _Inside(scene, made, verifier)
         return self._inside
 
-    def _make(self, scene: SceneBuffers) -> FrameTracer:
+    def _make(
+        self, scene: SceneBuffers, names: Names, chooser: Chooser | None = None, graphs: bool = False
+    ) -> FrameTracer:
         loaded = self._loaded, self._seat.loaded
-        made = FrameTracer(
-            self.device, self.bounds, scene, self._names, self._chooser, self._graphs, self._workers, loaded
-        )
+        made = FrameTracer(self.device, self.bounds, scene, names, chooser, graphs, self._workers, loaded)
         made.front_face_culling = self._culling
-        if self._second is not None:
-            made.employ_second(*self._second)
         return made
 
     @property
@@ -150,18 +157,18 @@ class Engine:
         return self._names
 
     def select(self, pipeline: str, variant: str) -> None:
-        """Use another pipeline from the next frame on; the old one's buffers are freed, and the second pipeline's if it
-        would be the same. If this raises, for instance because there is no memory for old and new together, nothing has
+        """Use another pipeline from the next frame on; the old one's buffers are freed, and the verifier's if it would
+        be the same. If this raises, for instance because there is no memory for old and new together, nothing has
         changed."""
         names = (pipeline, variant)
         chooser = _chooser_of(names)
         made = self._seat.run(lambda: [tracer.make_teams(names, chooser) for tracer in self._found().tracers])
 
-        def take(tracers: list[FrameTracer]) -> None:
+        def take(inside: _Inside) -> None:
             self._names, self._chooser = names, chooser
-            if self.second in self.pipelines:
-                self._second = None
-            for tracer, teams in zip(tracers, made, strict=True):
+            if self.verifier in self.pipelines:
+                self._verifier = inside.verifier = None
+            for tracer, teams in zip(inside.tracers, made, strict=True):
                 tracer.take(*teams)
 
         self._whole(take)
@@ -182,27 +189,31 @@ class Engine:
             calibrate(self, self._chooser, self.bounds)
 
     @property
-    def second(self) -> str | None:
-        """Name of the second pipeline, None if there is none."""
-        return None if self._second is None else self._second[0]
+    def verifier(self) -> str | None:
+        """Name of the pipeline that verifies, None if there is none."""
+        return None if self._verifier is None else self._verifier[0]
 
-    def employ_second(self, pipeline: str, variant: str) -> None:
-        """Allocate the buffers of a second pipeline beside the first; scene, samples and records are shared. One that
-        was there before is freed unless it is the same."""
+    def prepare_verifier(self, pipeline: str, variant: str) -> None:
+        """Allocate the buffers of another pipeline that verifies; it shares the scene. One that was there before is
+        freed unless it is the same."""
 
-        def employ() -> None:
-            self._second = None
-            for tracer in self._found().tracers:
-                tracer.employ_second(pipeline, variant)
-            self._second = (pipeline, variant)
+        def prepare() -> None:
+            inside = self._found()
+            if self._verifier != (pipeline, variant):
+                self._verifier = inside.verifier = None
+                inside.verifier = self._make(inside.scene, (pipeline, variant))
+                self._verifier = (pipeline, variant)
 
-        self._seat.run(employ)
+        self._seat.run(prepare)
 
-    def release_second(self) -> None:
-        """Free the second pipeline's buffers, if there are any, and what it alone has made of the scene."""
-        self._second = None
-        for tracer in self._seat.run(self._found).tracers:
-            tracer.release_second()
+    def release_verifier(self) -> None:
+        """Free the buffers of the pipeline that verifies, if there is one, and what it has made of the scene."""
+        self._verifier = self._seat.run(self._found).verifier = None
+
+    def forget(self, samples: str) -> None:
+        """Make everything again in the next frame of a set of samples, whatever is there."""
+        number = self._number(samples)
+        self._whole(lambda inside: inside.tracers[number].forget())
 
     @property
     def front_face_culling(self) -> bool:
@@ -211,9 +222,9 @@ class Engine:
 
     @front_face_culling.setter
     def front_face_culling(self, value: bool) -> None:
-        def cull(tracers: list[FrameTracer]) -> None:
+        def cull(inside: _Inside) -> None:
             self._culling = value
-            for tracer in tracers:
+            for tracer in inside.all():
                 tracer.front_face_culling = value
 
         self._whole(cull)
@@ -221,7 +232,7 @@ class Engine:
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         inside = self._seat.run(self._found)
-        return inside.scene.nbytes() + sum(tracer.nbytes() for tracer in inside.tracers)
+        return inside.scene.nbytes() + sum(tracer.nbytes() for tracer in inside.all())
 
     def holds(self, depth: np.ndarray, samples: str | None = None) -> bool:
         """Whether ``depth`` is, bit for bit, the depth image last traced with a set of samples, whatever points have
@@ -235,10 +246,10 @@ class Engine:
         camera: Camera,
         lights: Sequence[Light],
         bias: Bias,
-        second: bool = False,
+        verify: bool = False,
         samples: str | None = None,
     ) -> Traced:
-        """States of all pixels for all lights, by the second pipeline if so wished. Arguments have been checked:
+        """States of all pixels for all lights, by the pipeline that verifies if so wished. Arguments have been checked:
         float32 metres or uint16 millimetres, C order; ``samples``: name of the set of samples, new ones get a free
         one; None is the first set, whatever its name.
 
@@ -247,7 +258,7 @@ class Engine:
         """
         frame = (Source.of(depth, bias).name, scene.triangle_count > 0)
         return self._trace(
-            lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), second, frame, samples
+            lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), verify, frame, samples
         )
 
     def trace_points(
@@ -257,29 +268,29 @@ class Engine:
         lights: Sequence[Light],
         bias: float,
         valid: npt.NDArray[np.bool_] | None = None,
-        second: bool = False,
+        verify: bool = False,
         samples: str | None = None,
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
         is all valid. As ``trace_depth`` otherwise."""
         frame = (None, scene.triangle_count > 0)
         trace = partial(FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid)
-        return self._trace(trace, second, frame, samples)
+        return self._trace(trace, verify, frame, samples)
 
     def _trace(
-        self, trace: Callable[[FrameTracer], Traced], second: bool, frame: tuple[str | None, bool], samples: str | None
+        self, trace: Callable[[FrameTracer], Traced], verify: bool, frame: tuple[str | None, bool], samples: str | None
     ) -> Traced:
-        """By the second pipeline, or not; ``frame``: the format of its image, and whether there are triangles."""
+        """``frame``: the format of its image, and whether there are triangles."""
+        if verify:
+
+            def by_verifier(inside: _Inside) -> Traced:
+                assert inside.verifier is not None
+                return trace(inside.verifier)
+
+            return self._whole(by_verifier, [(self._verifier, *frame)])
         number = self._number(samples)
-
-        def by_second(tracers: list[FrameTracer]) -> Traced:
-            return tracers[number].second_opinion(lambda: trace(tracers[number]))
-
-        if second:
-            assert self._second is not None
-            return self._whole(by_second, [(self._second, *frame)])
         candidates = self._chooser.candidates if self._chooser else [self._names]
-        return self._whole(lambda tracers: trace(tracers[number]), [(names, *frame) for names in candidates])
+        return self._whole(lambda inside: trace(inside.tracers[number]), [(names, *frame) for names in candidates])
 
 
 def _chooser_of(names: Names) -> Chooser | None:

@@ -89,8 +89,6 @@ class FrameTracer:
         self._context = Context(self._frame, self._scene, records, self.stages)
         self._anchor: Anchor | None = None
         self._lights: tuple[object, ...] = ()
-        self._second: Share | None = None
-        self._seconding = False
         self._samples = Samples(forms.wide(device) and not graphs)
         self.take(*self.make_teams(names, chooser))
 
@@ -107,15 +105,17 @@ class FrameTracer:
         return chooser, teams
 
     def take(self, chooser: Chooser | None, teams: dict[Names, list[Share]]) -> None:
-        """Use other shares from the next frame on; the old ones are freed, and the second pipeline if it would be the
-        same."""
+        """Use other shares from the next frame on; the old ones are freed."""
         self._chooser, self._teams, self._team = chooser, teams, next(iter(teams.values()))
         self._balances = {names: Balance(len(team)) for names, team in teams.items() if len(team) > 1}
         self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
-        if self.second in self.pipelines:
-            self._second = None
+
+    def forget(self) -> None:
+        """Make everything again in the next frame."""
+        self._samples.make_again()
+        self._context.records.forget()
 
     @property
     def pipelines(self) -> frozenset[str]:
@@ -124,7 +124,7 @@ class FrameTracer:
 
     def _choose(self, change: int, rays: int, lights: Sequence[Light]) -> Situation | None:
         """Hand the frame to the pipeline that is expected to be the fastest."""
-        if self._chooser is None or self._seconding:
+        if self._chooser is None:
             return None
         look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, SphereLight))
         count = sum(light.samples if isinstance(light, SphereLight) else 1 for light in lights)
@@ -148,22 +148,6 @@ class FrameTracer:
             return self._context
         frame = FrameBuffers(self.bounds, self.device, shares, self._frame, number)
         return replace(self._context, frame=frame, stages=Stages(self.device))
-
-    @property
-    def second(self) -> str | None:
-        """Name of the second pipeline, None if there is none."""
-        return None if self._second is None else self._second.names[0]
-
-    def employ_second(self, pipeline: str, variant: str) -> None:
-        """Allocate the buffers of a second pipeline beside the first; scene, samples and records are shared. One that
-        was there before is freed unless it is the same."""
-        if self._second is None or self._second.names != (pipeline, variant):
-            self.release_second()
-            self._second = Share(self._context, pipeline, variant)
-
-    def release_second(self) -> None:
-        """Free the second pipeline's buffers, if there are any, and what it alone has made of the scene."""
-        self._second = None
 
     @property
     def front_face_culling(self) -> bool:
@@ -232,18 +216,6 @@ class FrameTracer:
         self._anchor = points_anchor(points, valid, bias, self._anchor)
         return self._trace_all(working, lights, None)
 
-    def second_opinion(self, trace: Callable[[], Traced]) -> Traced:
-        """What ``trace`` returns by the second pipeline, kernel by kernel, with separate triangle records."""
-        team, second, graphs = self._team, self._second, self._use_graphs
-        assert second is not None and second not in team
-        self._context.records.forget()
-        self._samples.forget()
-        self._team, self._use_graphs, self._seconding = [second], False, True
-        traced = trace()
-        self._team, self._use_graphs, self._seconding = team, graphs, False
-        self._context.records.forget()
-        return traced
-
     def _begin_frame(self) -> None:
         """Reset the times of all stages."""
         self._cold = False
@@ -263,8 +235,7 @@ class FrameTracer:
 
     def _all_shares(self) -> list[Share]:
         """Of all pipelines."""
-        shares = [share for team in self._teams.values() for share in team]
-        return [*shares, self._second] if self._second else shares
+        return [share for team in self._teams.values() for share in team]
 
     def _sync(self, scene: Scene) -> int:
         """Copy the scene; returns what has changed of it since the last frame: 0 nothing, 1 positions, 2 triangles."""
