@@ -126,6 +126,18 @@ def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayT
     return RayTree(tree, pipeline._order, frame, scene, who.groups, found, space, occluders, answers)
 
 
+def scene_bytes(tracer: ShadowTracer) -> int:
+    """Bytes that the scene takes on the device, alone of what all sets of samples share."""
+    engine: Any = tracer._engine
+    return int(engine._seat.run(engine._found).scene.nbytes())
+
+
+def fail_in_a_frame(tracer: ShadowTracer) -> None:
+    """Raise ``ZeroDivisionError`` in the middle of a frame."""
+    engine: Any = tracer._engine
+    engine._whole(lambda inside: 1 // 0)
+
+
 def structure(tracer: ShadowTracer) -> Any:
     """What the rays of a walker go through, of its only share."""
     inside: Any = tracer._engine.inside

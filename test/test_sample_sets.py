@@ -90,9 +90,9 @@ def test_each_set_keeps_its_rays_cuts_and_anchor() -> None:
 
 def test_the_scene_stands_once(any_device: str) -> None:
     one, three = _tracer(device=any_device, sets=1), _tracer(device=any_device, sets=3)
-    scene = one._engine._seat.run(one._engine._found).scene
-    assert three.device_bytes == scene.nbytes() + 3 * (one.device_bytes - scene.nbytes())
-    assert scene.nbytes() > 2000 * (24 + 12)
+    scene = probe.scene_bytes(one)
+    assert three.device_bytes == scene + 3 * (one.device_bytes - scene)
+    assert scene > 2000 * (24 + 12)
 
 
 def test_one_set_too_many_is_refused(any_device: str) -> None:
@@ -133,8 +133,8 @@ def test_all_sets_follow_what_is_set_between_frames(any_device: str) -> None:
     trace()
     tracer.select("mesh_bvh")
     trace()
-    with pytest.raises(TypeError):
-        tracer._engine._whole(lambda tracers: tracers[0].trace_depth())
+    with pytest.raises(ZeroDivisionError):
+        probe.fail_in_a_frame(tracer)
     trace()
     tracer.front_face_culling = True
     trace()
