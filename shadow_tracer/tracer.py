@@ -8,7 +8,7 @@ imported when a tracer is made, not before.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -124,13 +124,13 @@ class ShadowTracer:
         however noisy its depth. A surface turned away from the light needs a bias of nearly zero then, for it is lit
         where the bias carries a sample to the inside. Through anything not closed, light passes from the front.
         """
-        return self._engine.front_face_culling
+        return self._culling
 
     @front_face_culling.setter
     def front_face_culling(self, value: bool) -> None:
         if not isinstance(value, (bool, np.bool_)):
             raise ValueError(f"front_face_culling: expected True or False, got {value!r}")
-        self._engine.front_face_culling = bool(value)
+        self._culling = bool(value)
 
     @property
     def device_bytes(self) -> int:
@@ -172,7 +172,7 @@ class ShadowTracer:
         light = PointLight("lamp", (0.0, 0.0, 0.0))
         for depth in (np.full((1, 1), 2.0, np.float32), np.full((1, 1), 2000, np.uint16)):
             for bias in (Bias(0.0), Bias(0.0, normal=1.0)):
-                self._engine.trace_depth(scene, depth, camera, [light], bias, verify)
+                self._engine.trace_depth(scene, depth, camera, [light], bias, verify=verify)
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
         self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, verify=verify)
 
@@ -207,10 +207,7 @@ class ShadowTracer:
         hidden = np.empty(len(flat), dtype=np.bool_)
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
-            hidden[piece] = (
-                self._engine.trace_points(self.scene, flat[piece], [light], constant, samples=samples).states[0]
-                == State.SHADOWED
-            )
+            hidden[piece] = self._trace_points(flat[piece], [light], constant, None, samples)[0] == State.SHADOWED
         return hidden.reshape(positions.shape[:-1])
 
     def states_at(
@@ -242,9 +239,19 @@ class ShadowTracer:
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
             some = None if valid is None else valid[piece]
-            traced = self._engine.trace_points(self.scene, flat[piece], checked, constant, some, samples=samples)
-            states[:, piece] = traced.states
+            states[:, piece] = self._trace_points(flat[piece], checked, constant, some, samples)
         return states.reshape(len(checked), *positions.shape[:-1])
+
+    def _trace_points(
+        self,
+        points: npt.NDArray[np.float64],
+        lights: Sequence[Light],
+        bias: float,
+        valid: npt.NDArray[np.bool_] | None,
+        samples: str,
+    ) -> npt.NDArray[np.uint8]:
+        found = self._engine.trace_points(self.scene, points, lights, bias, valid, self._culling, samples=samples)
+        return found.states
 
     def trace(
         self,
@@ -371,7 +378,7 @@ class ShadowTracer:
         verify: bool = False,
     ) -> Frame:
         """A frame by the tracer's own pipeline, or by the one that verifies."""
-        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, verify, samples)
+        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, self._culling, verify, samples)
         reached = {
             light.name: (result.reached[number].reshape(image.shape), light.samples)
             for number, light in enumerate(lights)

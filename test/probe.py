@@ -87,7 +87,7 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
 
 def trace_points(tracer: ShadowTracer, points: Any, lights: Any, bias: float = 0.0, valid: Any = None) -> Any:
     """States of (N, 3) points, those that are not ``valid`` left out, with the counters that ``states_at`` drops."""
-    return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid)
+    return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid, tracer.front_face_culling)
 
 
 @dataclass(frozen=True)

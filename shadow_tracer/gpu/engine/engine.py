@@ -69,7 +69,6 @@ class Engine:
         self._workers = Workers(share_count(device, bounds, threads, self._graphs))
         self._seat = Seat(device, records=self._graphs)
         self._loaded: set[Loaded] = set()
-        self._culling = False
         self._names: Names = (pipeline, variant)
         self._chooser = _chooser_of(self._names)
         self._verifier: Names | None = None
@@ -107,9 +106,7 @@ class Engine:
         self, scene: SceneBuffers, names: Names, chooser: Chooser | None = None, graphs: bool = False
     ) -> FrameTracer:
         loaded = self._loaded, self._seat.loaded
-        made = FrameTracer(self.device, self.bounds, scene, names, chooser, graphs, self._workers, loaded)
-        made.front_face_culling = self._culling
-        return made
+        return FrameTracer(self.device, self.bounds, scene, names, chooser, graphs, self._workers, loaded)
 
     @property
     def inside(self) -> FrameTracer:
@@ -215,20 +212,6 @@ class Engine:
         number = self._number(samples)
         self._whole(lambda inside: inside.tracers[number].forget())
 
-    @property
-    def front_face_culling(self) -> bool:
-        """Whether triangles whose front faces the light cast nothing."""
-        return self._culling
-
-    @front_face_culling.setter
-    def front_face_culling(self, value: bool) -> None:
-        def cull(inside: _Inside) -> None:
-            self._culling = value
-            for tracer in inside.all():
-                tracer.front_face_culling = value
-
-        self._whole(cull)
-
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         inside = self._seat.run(self._found)
@@ -246,6 +229,7 @@ class Engine:
         camera: Camera,
         lights: Sequence[Light],
         bias: Bias,
+        cull: bool = False,
         verify: bool = False,
         samples: str | None = None,
     ) -> Traced:
@@ -258,7 +242,7 @@ class Engine:
         """
         frame = (Source.of(depth, bias).name, scene.triangle_count > 0)
         return self._trace(
-            lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), verify, frame, samples
+            lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias, cull), verify, frame, samples
         )
 
     def trace_points(
@@ -268,13 +252,16 @@ class Engine:
         lights: Sequence[Light],
         bias: float,
         valid: npt.NDArray[np.bool_] | None = None,
+        cull: bool = False,
         verify: bool = False,
         samples: str | None = None,
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
         is all valid. As ``trace_depth`` otherwise."""
         frame = (None, scene.triangle_count > 0)
-        trace = partial(FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid)
+        trace = partial(
+            FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid, cull=cull
+        )
         return self._trace(trace, verify, frame, samples)
 
     def _trace(

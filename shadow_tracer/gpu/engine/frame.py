@@ -149,15 +149,6 @@ class FrameTracer:
         frame = FrameBuffers(self.bounds, self.device, shares, self._frame, number)
         return replace(self._context, frame=frame, stages=Stages(self.device))
 
-    @property
-    def front_face_culling(self) -> bool:
-        """Whether triangles whose front faces the light cast nothing."""
-        return self._context.records.front_face_culling
-
-    @front_face_culling.setter
-    def front_face_culling(self, value: bool) -> None:
-        self._context.records.front_face_culling = value
-
     def nbytes(self) -> int:
         """Bytes reserved on the device, the scene aside."""
         own = self._frame.nbytes() + self._context.records.nbytes() + self._context.shared.nbytes()
@@ -170,11 +161,11 @@ class FrameTracer:
         return self._samples.holds(depth)
 
     def trace_depth(
-        self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: Bias
+        self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: Bias, cull: bool = False
     ) -> Traced:
         """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
-        order."""
-        self._begin_frame()
+        order; ``cull``: triangles whose front faces the light cast nothing."""
+        self._begin_frame(cull)
         before = self._synced
         with self.stages.stage("upload"):
             situation = self._choose(self._sync(scene), depth.size, lights)
@@ -204,10 +195,11 @@ class FrameTracer:
         lights: Sequence[Light],
         bias: float,
         valid: npt.NDArray[np.bool_] | None = None,
+        cull: bool = False,
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
-        is all valid."""
-        self._begin_frame()
+        is all valid; ``cull`` as for ``trace_depth``."""
+        self._begin_frame(cull)
         with self.stages.stage("upload"):
             self._choose(self._sync(scene), len(points), lights)
             team = self._working(len(points))
@@ -216,8 +208,9 @@ class FrameTracer:
         self._anchor = points_anchor(points, valid, bias, self._anchor)
         return self._trace_all(working, lights, None)
 
-    def _begin_frame(self) -> None:
+    def _begin_frame(self, cull: bool) -> None:
         """Reset the times of all stages."""
+        self._context.records.front_face_culling = cull
         self._cold = False
         for share in self._all_shares():
             share.stages.reset()
@@ -315,15 +308,14 @@ class FrameTracer:
 
             def launch() -> None:
                 records.expect(stale)
-                self._one(first, passes, source)
+                self._run(working, passes, source, _one_after_the_other)
 
             with self.stages.stage("graph"), self.stages.paused():
-                key = (*key, self.front_face_culling, *map(bool, stale))
+                key = (*key, records.front_face_culling, *map(bool, stale))
                 self._cold |= self._graphs.run(key, launch)
-        elif len(working) == 1:
-            self._one(first, passes, source)
         else:
-            self._side_by_side(working, passes, source, self._workers.run if loaded else _one_after_the_other)
+            side_by_side = loaded and len(working) > 1
+            self._run(working, passes, source, self._workers.run if side_by_side else _one_after_the_other)
         self._loaded.add(kernels)
         self._loaded_by_anybody.add(kernels)
 
@@ -343,23 +335,14 @@ class FrameTracer:
         """Whether all kernels of a pipeline have been launched, but for those that make samples."""
         return any(kernels[0] == names and kernels[2] == bool(self._scene.triangle_count) for kernels in self._loaded)
 
-    def _one(self, share: Share, passes: Sequence[Pass], source: Source | None) -> None:
-        share.begin(source)
-        for work in passes:
-            share.project(work)
-            share.aim(work)
-            share.trace(work)
-        if self._planes:
-            with self.stages.stage("download"):
-                self._planes.pack(sum(len(work.lights) for work in passes))
-
-    def _side_by_side(
+    def _run(
         self,
         working: Sequence[Share],
         passes: Sequence[Pass],
         source: Source | None,
         run: Callable[[Sequence[Job]], None],
     ) -> None:
+        """The order of a frame: of each pass first what one share makes for all of them."""
         for number, work in enumerate(passes):
             working[0].aim(work)
 
@@ -372,6 +355,9 @@ class FrameTracer:
                 share.busy += time.perf_counter() - begin
 
             run([partial(job, share) for share in working])
+        if self._planes:
+            with self.stages.stage("download"):
+                self._planes.pack(sum(len(work.lights) for work in passes))
 
 
 def _deal(team: Sequence[Share], cuts: Sequence[tuple[int, int]], width: int) -> list[Share]:
