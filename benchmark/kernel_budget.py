@@ -63,7 +63,6 @@ EXCEPTIONS = {
     "accelerators.spherical_grid.rays/place_tiles": Budget(64, 48, reason=_ANGLES),
     # Rays through a structure over triangles.
     "accelerators.bvh.mesh_bvh.mask/walk_binary_tree_mask_1": Budget(216, 1344, reason=_MASK),
-    "accelerators.brute_force.brute_force.mask/walk_every_triangle_mask_1": Budget(140, 1056, reason=_MASK),
     "accelerators.bvh.mesh_bvh.any_hit/walk_binary_tree_any_hit_1": Budget(66, 288, reason="a stack of 64 nodes"),
     "accelerators.uniform_grid.uniform_grid.any_hit/walk_cells_any_hit_1": Budget(
         66, 176, reason="sixteen mailboxes, and a step along any axis"

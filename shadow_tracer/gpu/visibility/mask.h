@@ -5,6 +5,22 @@
 // of rays to a sphere around the points; queries.py derives the filter's pad.
 struct PointMask1 {
     enum { SPREADS = 1 };
+#if defined(__CUDA_ARCH__)
+    enum { TOGETHER = 1, GROUP = 1 };
+    typedef double Reals;
+    typedef int Bits;
+    static inline wp::uint64 bits(Bits x) { return x & 1; }
+#else
+    // Points that are judged together.
+    enum { TOGETHER = 8, GROUP = 0xFF, MOST = 64 };
+    typedef double Reals __attribute__((ext_vector_type(8), aligned(8)));
+    typedef decltype(Reals() < Reals()) Bits;
+    typedef bool Bit8s __attribute__((ext_vector_type(8)));
+    static inline wp::uint64 bits(Bits x) {
+        return __builtin_bit_cast(unsigned char, __builtin_convertvector(x, Bit8s));
+    }
+    double x[MOST], y[MOST], z[MOST], length[MOST], far[MOST]; // of the sample that asks
+#endif
     const Asked& asked;
     int ray[1], taken;
     int hider; // the triangle that hid a point last, -1 if none has
@@ -24,6 +40,15 @@ struct PointMask1 {
         open = ~(wp::uint64)0 >> (64 - asked.count);
         hider = -1;
         rays += asked.count;
+#if !defined(__CUDA_ARCH__)
+        const wp::vec4d& p = asked.positions.data[ray[0]];
+        for (int k = 0; k < asked.count; ++k) {
+            const wp::vec4d& light = asked.points.data[k];
+            x[k] = light[0] - p[0], y[k] = light[1] - p[1], z[k] = light[2] - p[2];
+            length[k] = sqrt(x[k] * x[k] + y[k] * y[k] + z[k] * z[k]);
+            far[k] = MASK_PAD * (fabs(x[k]) + fabs(y[k]) + fabs(z[k]));
+        }
+#endif
     }
     // A determinant from the sample: three components and the sum of the magnitudes of what they are made of.
     struct Plane {
@@ -50,6 +75,63 @@ struct PointMask1 {
         exact += answer >> 1;
         return answer & 1;
     }
+    // A triangle from the sample: planes through it and the edges, the own one, and on which side of that it is.
+    struct Sides {
+        Plane edge[3], own;
+        double here, reach; // the sample's determinant with the own plane, and what that is a sum of
+        bool sure;
+
+        inline Sides(const wp::vec3d& p, const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) {
+            const wp::vec3d to_a = between(p, a), ab = between(a, b);
+            edge[0] = Plane::through(to_a, ab);
+            edge[1] = Plane::through(between(p, b), between(b, c));
+            edge[2] = Plane::through(between(p, c), between(c, a));
+            own = Plane::through(ab, between(a, c));
+            here = -own.at(to_a);
+            reach = MASK_PAD * own.size * Plane::sum(to_a);
+            sure = fabs(here) > reach;
+        }
+    };
+    // Points of the light from the sample: where they are, their distance, and its magnitude times the pad.
+    struct Ways {
+        Reals x, y, z, length, far;
+    };
+    inline Ways ways(int first) const {
+#if defined(__CUDA_ARCH__)
+        const wp::vec4d &light = asked.points.data[first], &p = asked.positions.data[ray[0]];
+        const double dx = light[0] - p[0], dy = light[1] - p[1], dz = light[2] - p[2];
+        return { dx, dy, dz, sqrt(dx * dx + dy * dy + dz * dz), MASK_PAD * (fabs(dx) + fabs(dy) + fabs(dz)) };
+#else
+        return { *(const Reals*)(x + first), *(const Reals*)(y + first), *(const Reals*)(z + first),
+                 *(const Reals*)(length + first), *(const Reals*)(far + first) };
+#endif
+    }
+    // What the filter says about them: those that are surely hidden, and those that may be.
+    static inline void judge(const Sides& sides, double bias, const Ways& way, Bits& hidden, Bits& maybe) {
+        Reals at[3], pad[3];
+        for (int k = 0; k < 3; ++k) {
+            at[k] = sides.edge[k].x * way.x + sides.edge[k].y * way.y + sides.edge[k].z * way.z;
+            pad[k] = sides.edge[k].size * way.far;
+        }
+        const Reals there = sides.here + sides.own.x * way.x + sides.own.y * way.y + sides.own.z * way.z;
+        const Reals off = sides.reach + sides.own.size * way.far;
+        const Bits inside = (at[0] > pad[0]) | (at[1] > pad[1]) | (at[2] > pad[2]);
+        const Bits outside = (at[0] < -pad[0]) | (at[1] < -pad[1]) | (at[2] < -pad[2]);
+        const Bits all = ((at[0] > pad[0]) & (at[1] > pad[1]) & (at[2] > pad[2]))
+                         | ((at[0] < -pad[0]) & (at[1] < -pad[1]) & (at[2] < -pad[2]));
+        const double side = sides.here > 0.0 ? 1.0 : -1.0, here = fabs(sides.here);
+        const Reals behind = -side * there; // of the own plane, seen from the sample
+        // The biased start is on the sample's side, too, by more than what either computation may be off.
+        const Reals least = (here - sides.reach) * way.length, most = here + behind + sides.reach + off;
+        const Bits same = behind<-off, other = behind> off;
+        const Bits after = bias > 0.0 ? Bits(least > 1.000000000001 * bias * most) : other;
+        maybe = ~(inside & outside);
+        hidden = all & other & after;
+        if (sides.sure)
+            maybe &= ~same;
+        else
+            hidden &= ~hidden;
+    }
     // Shows a triangle; true if no point is seen any more.
     inline bool visit(int triangle) {
         ++tests;
@@ -59,42 +141,25 @@ struct PointMask1 {
         if (!wp::isfinite(a) || !wp::isfinite(b) || !wp::isfinite(c))
             return false;
         const wp::vec4d& at = asked.positions.data[ray[0]];
-        const wp::vec3d p(at[0], at[1], at[2]), to_a = between(p, a), ab = between(a, b), ac = between(a, c);
-        const Plane edge[3] = { Plane::through(to_a, ab), Plane::through(between(p, b), between(b, c)),
-                                Plane::through(between(p, c), between(c, a)) };
-        const Plane own = Plane::through(ab, ac);
-        // Of the sample; those of light points differ by own.at(d).
-        const double here = -own.at(to_a), reach = own.size * Plane::sum(to_a);
-        const bool sure_here = fabs(here) > MASK_PAD * reach;
-        for (wp::uint64 left = open; left; left &= left - 1) {
-            const int k = lowest(left);
-            const wp::vec4d& light = asked.points.data[k];
-            const wp::vec3d d(light[0] - p[0], light[1] - p[1], light[2] - p[2]);
-            const double far = MASK_PAD * Plane::sum(d);
-            int inside = 0, outside = 0;
-            for (int q = 0; q < 3; ++q) {
-                const double x = edge[q].at(d), pad = edge[q].size * far;
-                inside += x > pad;
-                outside += x < -pad;
-            }
-            if (inside > 0 && outside > 0)
+        const Sides sides(wp::vec3d(at[0], at[1], at[2]), a, b, c);
+        const wp::uint64 before = open;
+        for (int first = 0; first < asked.count; first += TOGETHER) {
+            const wp::uint64 mine = open >> first & GROUP;
+            if (!mine)
                 continue;
-            const double there = here + own.at(d), pad = MASK_PAD * reach + own.size * far;
-            const bool sure = sure_here && fabs(there) > pad;
-            if (sure && (here > 0.0) == (there > 0.0))
+            Bits sure, maybe;
+            judge(sides, at[3], ways(first), sure, maybe);
+            wp::uint64 hidden = mine & bits(maybe);
+            if (!hidden)
                 continue;
-            bool certain = sure && (inside == 3 || outside == 3) && asked.cull == 0;
-            if (certain && at[3] > 0.0) {
-                // The biased start is behind the plane, too, by more than what either computation may be off.
-                const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
-                certain = (fabs(here) - MASK_PAD * reach) * length
-                          > 1.000000000001 * at[3] * (fabs(here) + fabs(there) + MASK_PAD * reach + pad);
-            }
-            if (certain || hides(k, a, b, c)) {
-                open &= ~((wp::uint64)1 << k);
-                hider = triangle;
-            }
+            const wp::uint64 certain = asked.cull == 0 ? bits(sure) : 0;
+            for (wp::uint64 left = hidden & ~certain; left; left &= left - 1)
+                if (!hides(first + lowest(left), a, b, c))
+                    hidden &= ~(left & -left);
+            open &= ~(hidden << first);
         }
+        if (open != before)
+            hider = triangle;
         return open == 0;
     }
     static inline int lowest(wp::uint64 bits) {
