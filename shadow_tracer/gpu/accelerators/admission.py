@@ -87,6 +87,7 @@ def admit_blocks(
 @wp.kernel(enable_backward=False)
 def test_wild(
     stride: int,
+    records_apart: int,
     triangle_count: int,
     rays: wp.array(dtype=wp.vec4),
     records: wp.array2d(dtype=wp.vec4),
@@ -101,7 +102,7 @@ def test_wild(
         i = wild[k]
         ray = rays[i]
         magnitude = ray_magnitude(ray)
-        first = i // answers.samples * triangle_count
+        first = i // answers.samples * records_apart
         t = thread
         while t < triangle_count and answers.states[i] == wp.uint8(LIT):
             answer = filter_pair(ray, magnitude, records, first + t)
@@ -147,8 +148,8 @@ class Admission:
         threads, lights = forms.tasks(frame.device, _WILD_THREADS_CUDA), len(work.lights)
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [threads, scene.triangle_count, frame.rays, records.of(work.first, lights), self._wild]
-            return threads, [*inputs, self.counts, self._context.answers(work)]
+            inputs = [threads, records.stride, scene.triangle_count, frame.rays, records.of(work.first, lights)]
+            return threads, [*inputs, self._wild, self.counts, self._context.answers(work)]
 
         self._launch(test_wild, self._context.key(work), prepare)
 

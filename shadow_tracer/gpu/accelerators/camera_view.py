@@ -17,6 +17,7 @@ from shadow_tracer.gpu.exact.camera_records import (
     pack_triangles,
 )
 from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.exact.records import BLOCK
 from shadow_tracer.gpu.occluders.seen import prepare
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.scene.bounds import Bounds
@@ -36,7 +37,6 @@ class CameraView:
         records: of the triangles.
         rays: of the camera that was looked from last.
         frame: of a light at its optical centre.
-        degenerate: 64 integers, the number of triangles that it cannot see.
     """
 
     def __init__(self, scene: SceneBuffers, bounds: Bounds, beyond: int = 0) -> None:
@@ -45,8 +45,7 @@ class CameraView:
         self._frame = HostValues(LightFrame, 1, device)
         self.records = wp.empty((triangles, 4), dtype=wp.vec4, device=device)
         self._planes = wp.empty((triangles, PLANE_COLUMNS), dtype=wp.float64, device=device)
-        self.degenerate = wp.zeros(64, dtype=int, device=device)
-        self._culled = wp.zeros(64, dtype=int, device=device)
+        self._silent = wp.zeros(-(-triangles // BLOCK), dtype=wp.vec2i, device=device)
         self._columns, self._rows = (wp.empty(pixels + beyond, dtype=wp.float64, device=device) for _ in range(2))
         self._table = wp.empty(pixels, dtype=wp.vec2, device=device)
         self._table_has: RayTable | None = None
@@ -82,9 +81,15 @@ class CameraView:
     def set_up(self) -> None:
         """Make what the rays ask of the triangles of the scene, of which there are some."""
         scene = self._scene
-        prepare(self.frame, scene, self.records, False, self.degenerate, self._culled)
+        self._silent.zero_()
+        prepare(self.frame, scene, self.records, False, self._silent)
         inputs = [self.rays, scene.vertices, scene.triangles, self.records, self._planes]
         wp.launch(pack_triangles, dim=scene.triangle_count, inputs=inputs, device=scene.device)
+
+    def unseen(self) -> int:
+        """Number of triangles that it cannot see."""
+        blocks = -(-self._scene.triangle_count // BLOCK)
+        return int(self._silent.numpy()[:blocks, 0].sum())
 
     def seen(self) -> CameraTriangles:
         """The triangles as they are after ``set_up``."""

@@ -15,6 +15,7 @@ from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
 from shadow_tracer.gpu.visibility.answers import Answers
+from shadow_tracer.gpu.visibility.queries import Mask
 
 _Kind = TypeVar("_Kind")
 
@@ -71,13 +72,14 @@ class Context:
         occluders = Occluders()
         occluders.count, occluders.triangles = self.scene.triangle_count, self.scene.triangles
         occluders.records = self.records.of(work.first, len(work.lights))
+        occluders.records_apart = self.records.stride
         return occluders
 
     def key(self, work: Pass) -> tuple[Hashable, ...]:
         """All that launches of a pass depend on, contents of arrays aside."""
         records = self.records
         numbers = work.first, len(work.lights), self.frame.count, self.scene.triangle_count
-        return *numbers, records.place(work.first), records.front_face_culling
+        return *numbers, records.place(work.first), records.stride, records.front_face_culling
 
 
 @dataclass(frozen=True)
@@ -90,11 +92,13 @@ class Traits:
             nothing it launches depends on more than the numbers of samples and triangles and on what
             ``TriangleRecords.plan`` has said.
         keeps_rays: whether what it makes of the rays of a pass can be used again, see ``Pass.again``.
+        masks: whether it answers the query *mask* (``show_points``).
     """
 
     lights_at_once: int = 1
     recordable: bool = False
     keeps_rays: bool = False
+    masks: bool = False
 
 
 class Accelerator:
@@ -118,6 +122,10 @@ class Accelerator:
     def more(self, work: Pass) -> Iterator[None]:
         """What a list of its own could not hold, as it has told ``FrameBuffers.parts``: shows all once more, a list at
         a time, and lets waiting pairs be decided in between. The rays are as they were before ``show``."""
+        raise NotImplementedError
+
+    def show_points(self, asked: Mask) -> None:
+        """Show samples every triangle that could be between them and any of some points of a light."""
         raise NotImplementedError
 
     def learn(self, counters: dict[str, int]) -> None:

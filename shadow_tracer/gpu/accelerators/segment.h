@@ -1,10 +1,13 @@
-// needs: exact/light.h
+// needs: query exact/light.h
 // arguments: SceneBox structure.box
 // constants: BOX_PADDING FAR_AWAY
 // A ray in the box of the scene, in units of its extent; see segment.py.
 struct Segment {
     enum { MISSES, MEETS, TOO_FAR };
     wp::vec3 origin, direction;
+    // What the low and the high sides of boxes are compared with: the origin, moved as far as rays of the query may be
+    // beside this one.
+    wp::vec3 above, below;
     float longest;
     double from, to; // where it is in the box
 
@@ -21,7 +24,9 @@ struct Segment {
         from = near > from ? near : from;
         to = far < to ? far : to;
     }
-    inline int place(const wp::vec4d& sample, const wp::vec4d& light, const SceneBox& box) {
+    inline int place(const Query1& query, const SceneBox& box) {
+        const wp::vec4d &sample = query.sample(), &light = query.light();
+        const double beside = Query1::SPREADS ? query.spread() * box.inverse_extent * 1.00001 : 0.0;
         double start[3];
         for (int k = 0; k < 3; ++k) {
             start[k] = (sample[k] - box.center[k]) * box.inverse_extent;
@@ -32,12 +37,14 @@ struct Segment {
         from = 0.0;
         to = way[3] * box.inverse_extent;
         for (int k = 0; k < 3; ++k)
-            clip(start[k], way[k], box.half[k]);
+            clip(start[k], way[k], box.half[k] + beside);
         if (!(from <= to))
             return MISSES;
         for (int k = 0; k < 3; ++k) {
             origin[k] = (float)(start[k] + way[k] * from);
             direction[k] = away_from_zero(way[k]);
+            above[k] = Query1::SPREADS ? origin[k] + (float)beside : origin[k];
+            below[k] = Query1::SPREADS ? origin[k] - (float)beside : origin[k];
         }
         longest = (float)((to - from) * 1.0001 + BOX_PADDING);
         return MEETS;

@@ -8,6 +8,10 @@ start and direction then displace a point of the ray by at most 5 u E per axis. 
 walk. Direction components below 1e-20 are replaced by 1e-20, so 1/0 and 0 * infinity cannot occur; that displaces a
 point by less than 1e-19 E. Clipping rounds by 2^-50 of the sample's distance from O; a sample farther away than 2^26 E,
 where that would eat the padding, is shown every triangle instead.
+
+A query may be about a bundle of rays from a sample to a sphere of radius R around the light (``query.spread()``). A
+point of such a ray is within R of the point of the middle ray with the same share of the way, so the boxes are met
+within R, taken 1e-5 larger, which is more than what its own roundings may be.
 """
 
 from __future__ import annotations
@@ -20,6 +24,8 @@ from shadow_tracer.scene.checks import FloatArray
 
 # Of boxes, in units of the scene's extent.
 PADDING = 2.0**-19
+# Where boxes lie that hold nothing: here in x, beyond the scene's reach to 1 and all padding, each elsewhere in y.
+OUTSIDE = 1.02
 _FAR_AWAY = 2.0**26
 native.constants(BOX_PADDING=PADDING, FAR_AWAY=_FAR_AWAY)
 
@@ -46,24 +52,46 @@ def scene_box(low: FloatArray, high: FloatArray) -> SceneBox:
     return box
 
 
+def holds(held: tuple[FloatArray, FloatArray], low: FloatArray, high: FloatArray) -> bool:
+    """Whether a box around ``held`` serves for another: it holds that, and is not twice as large."""
+    inside = np.all(held[0] <= low) and np.all(high <= held[1])
+    return bool(inside and (held[1] - held[0]).max() <= 2.0 * (high - low).max())
+
+
+@wp.func
+def outside(i: int, boxes: int) -> wp.vec3:
+    """Where box number ``i`` of so many lies if it holds nothing."""
+    return wp.vec3(OUTSIDE, 2.0 * float(i) / float(boxes) - 1.0, 0.0)
+
+
+@wp.kernel(enable_backward=False)
+def empty_boxes(first: int, boxes: int, lowers: wp.array(dtype=wp.vec3), uppers: wp.array(dtype=wp.vec3)):
+    """Boxes without a triangle, from ``first`` on."""
+    i = first + wp.tid()
+    lowers[i] = outside(i, boxes)
+    uppers[i] = lowers[i]
+
+
 @wp.kernel(enable_backward=False)
 def triangle_boxes(
+    first: int,
+    boxes: int,
     box: SceneBox,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
     lowers: wp.array(dtype=wp.vec3),
     uppers: wp.array(dtype=wp.vec3),
 ):
-    """Padded boxes of triangles relative to the scene's centre, rounded outwards; a point for those that cast
-    nothing."""
-    i = wp.tid()
+    """Padded boxes of triangles from ``first`` on, relative to the scene's centre, rounded outwards; of those that cast
+    nothing, those of gaps among them, boxes that hold nothing."""
+    i = first + wp.tid()
     corners = triangles[i]
     a = (vertices[corners[0]] - box.center) * box.inverse_extent
     b = (vertices[corners[1]] - box.center) * box.inverse_extent
     c = (vertices[corners[2]] - box.center) * box.inverse_extent
     if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
-        lowers[i] = wp.vec3(0.0, 0.0, 0.0)
-        uppers[i] = wp.vec3(0.0, 0.0, 0.0)
+        lowers[i] = outside(i, boxes)
+        uppers[i] = lowers[i]
         return
     padding = wp.float64(PADDING)
     low = wp.min(wp.min(a, b), c)

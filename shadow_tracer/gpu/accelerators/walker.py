@@ -16,9 +16,9 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 from shadow_tracer.gpu.device import forms, native
-from shadow_tracer.gpu.occluders.world import Revision
+from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.visibility.queries import ANY_HIT, AnyHit, Query
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, AnyHit, Mask, Query
 
 _BLOCK = 256  # rays of a task in the wide form
 
@@ -125,3 +125,9 @@ class Walker(Accelerator):
         asked.rays, asked.occluders, asked.answers = frame.rays, context.occluders(work), context.answers(work)
         with context.stages.stage("trace"):
             self.walk.launch(ANY_HIT, frame.count, self.structure, asked, frame.device)
+
+    def show_points(self, asked: Mask) -> None:
+        """Send bundles of rays through the structure."""
+        frame = self._context.frame
+        with self._context.stages.stage("trace"):
+            self.walk.launch(MASK, frame.count, self.structure, asked, frame.device)

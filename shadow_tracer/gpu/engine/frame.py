@@ -23,8 +23,10 @@ from shadow_tracer.gpu.engine.balance import Balance
 from shadow_tracer.gpu.engine.cuts import LEAST, even_cuts
 from shadow_tracer.gpu.engine.gather import Traced, gather_counters, gather_stages, gather_states
 from shadow_tracer.gpu.engine.share import Share
+from shadow_tracer.gpu.engine.spheres import trace_spheres
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
+from shadow_tracer.gpu.occluders.changes import Changed
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.anchor import depth_anchor, points_anchor
@@ -123,7 +125,7 @@ class FrameTracer:
             return None
         look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, SphereLight))
         count = sum(light.samples if isinstance(light, SphereLight) else 1 for light in lights)
-        situation = Situation(change, rays, self._scene.triangle_count, count, look != self._lights)
+        situation = Situation(change, rays, self._scene.live_triangles, count, look != self._lights)
         self._lights = look
         team = self._teams[self._chooser.choose(situation)]
         if team is not self._team:
@@ -274,15 +276,11 @@ class FrameTracer:
             share.follow()
         if not sphere_points.is_soft(lights):
             return self._trace_lights(working, lights, source)
-        count = sum(share.frame.count for share in working)
-        tally = sphere_points.Tally(lights, count, self.bounds.max_lights)
-        counters: dict[str, int] = {}
-        for first, batch in tally.batches():
-            traced = self._trace_lights(working, batch, source if first == 0 else None)
-            tally.add(first, traced.states)
-            counters = sphere_points.add_up(counters, traced.counters)
-        states, reached = tally.result()
-        return Traced(states, traced.stages, counters, reached)
+
+        def trace(batch: Sequence[HardLight], first: bool) -> Traced:
+            return self._trace_lights(working, batch, source if first else None)
+
+        return trace_spheres(working, lights, self.bounds.max_lights, trace, self.stages)
 
     def _trace_lights(self, working: list[Share], lights: Sequence[HardLight], source: Source | None) -> Traced:
         """``source``: what samples are to be made of, None if there are some."""
@@ -302,7 +300,7 @@ class FrameTracer:
         with self.stages.stage("download"):
             found = self._found(working, len(lights), further > 0)
             counters = gather_counters(working)
-        counters["triangles"] = self._scene.triangle_count
+        counters["triangles"] = self._scene.live_triangles
         counters["degenerate"], counters["culled"] = silent
         counters["overflow_passes"] = further + counters.pop("overflows")
         return Traced(found, gather_stages(self.stages, working), counters)
@@ -327,7 +325,7 @@ class FrameTracer:
         return [Pass(tuple(light_frames[first : first + together])) for first in range(0, len(light_frames), together)]
 
     def _launch(
-        self, working: list[Share], passes: Sequence[Pass], source: Source | None, stale: Sequence[bool]
+        self, working: list[Share], passes: Sequence[Pass], source: Source | None, stale: Sequence[Changed]
     ) -> None:
         """Everything of a frame between upload and download, further passes aside."""
         first = working[0]
@@ -337,15 +335,17 @@ class FrameTracer:
         loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
         self._cold |= not loaded
         if self._use_graphs and first.pipeline.traits.recordable:
-            frame, scene = first.frame, self._scene
+            frame, scene, records = first.frame, self._scene, self._context.records
             key = (*kernels[:2], frame.count, frame.width, scene.triangle_count, scene.vertex_count)
+            key = (*key, records.places, records.stride)
+            stale = self._mend(first, passes, stale)
 
             def launch() -> None:
-                self._context.records.expect(stale)
+                records.expect(stale)
                 self._one(first, passes, source)
 
             with self.stages.stage("graph"), self.stages.paused():
-                key = (*key, self.front_face_culling, stale)
+                key = (*key, self.front_face_culling, *map(bool, stale))
                 self._cold |= self._graphs.run(key, launch)
         elif len(working) == 1:
             self._one(first, passes, source)
@@ -353,6 +353,18 @@ class FrameTracer:
             self._side_by_side(working, passes, source, self._workers.run if loaded else _one_after_the_other)
         self._loaded.add(kernels)
         self._loaded_by_anybody.add(kernels)
+
+    @staticmethod
+    def _mend(share: Share, passes: Sequence[Pass], stale: Sequence[Changed]) -> list[Changed]:
+        """Make what is to be made of a part of the triangles before what is recorded, which else would be another for
+        every part; returns what is left to make. The place of such a light holds its records, so it is that of no light
+        before it."""
+        left = list(stale)
+        for light in (light for work in passes for light in work.lights):
+            if left[light.number] and not left[light.number].everything:
+                share.aim(Pass((light,)))
+                left[light.number] = Changed()
+        return left
 
     def _has_launched(self, names: Names) -> bool:
         """Whether all kernels of a pipeline have been launched, but for those that make samples."""

@@ -12,18 +12,22 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 from shadow_tracer.gpu.accelerators.registry import make_pipeline
 from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device.counters import COUNTERS
 from shadow_tracer.gpu.device.stages import Stages
-from shadow_tracer.gpu.occluders.world import Revision
+from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples import normals, pixels, rays
 from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
 from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.visibility.queries import MASK_POINTS, Mask
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
+from shadow_tracer.scene.checks import FloatArray
 
 
 class Share:
@@ -50,6 +54,8 @@ class Share:
         self._kept = KeptRays(self.frame) if keep and self.pipeline.traits.keeps_rays else None
         self._again = False
         bounds, device = self.frame.bounds, self.frame.device
+        # Of a light that a mask is asked for.
+        self._points = wp.empty(MASK_POINTS if self.pipeline.traits.masks else 0, dtype=wp.vec4d, device=device)
         self._waiting = None if forms.wide(device) else WaitingPairs(bounds.max_rays, bounds.queue_capacity, device)
 
     @property
@@ -113,7 +119,7 @@ class Share:
         context, frame, lights = self.context, self.frame, len(work.lights)
 
         def pending() -> Pending:
-            counts = lights * frame.count, context.scene.triangle_count
+            counts = lights * frame.count, context.records.stride, context.scene.triangle_count
             return Pending(context.answers(work), *counts, frame.rays, context.records.of(work.first, lights))
 
         with self.stages.stage("resolve"):
@@ -139,9 +145,30 @@ class Share:
                 further += 1
         return further
 
+    def see(self, place: int, points: FloatArray) -> tuple[npt.NDArray[np.uint64], dict[str, int]]:
+        """Which of (P, 3) points of a light each sample sees, as bits, and counters; asked by the samples that the
+        light at ``place`` of the batch, which has just been traced, shines on: of others the bits mean nothing."""
+        frame, scene, records = self.frame, self.context.scene, self.context.records
+        if scene.triangle_count == 0:
+            return np.full(frame.count, (1 << len(points)) - 1, np.uint64), {}
+        asked = Mask()
+        asked.count, asked.points = len(points), self._points
+        frame.upload(self._points, np.column_stack([points, np.ones(len(points))]))
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        asked.middle = wp.vec4d(*middle, 1.0)
+        asked.radius = float(np.linalg.norm(points - middle, axis=1).max()) * (1.0 + 1e-9)
+        asked.positions, asked.states, asked.seen = frame.samples, frame.states_of(place), frame.seen
+        asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
+        asked.cull, asked.counters = int(records.front_face_culling), frame.counters
+        frame.counters.zero_()
+        self.pipeline.show_points(asked)
+        rows = frame.counters.numpy().sum(axis=0)
+        return asked.seen.numpy()[: frame.count], dict(zip(COUNTERS, (int(value) for value in rows), strict=True))
+
     def nbytes(self) -> int:
         """Bytes reserved beyond the buffers, on the device and, for rays that are kept, on the host."""
         own = self._kept.nbytes() if self._kept is not None else 0
+        own += int(self._points.capacity)
         own += self._waiting.nbytes() if self._waiting is not None else 0
         return self.pipeline.nbytes() + own
 

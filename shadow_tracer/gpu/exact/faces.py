@@ -16,9 +16,12 @@ import warp as wp
 
 @wp.struct
 class Occluders:
-    """The triangles of the scene and what is known of them from a light."""
+    """The triangles of the scene and what is known of them from a light, or from several: then records and corners of
+    one lie so many behind those of the one before."""
 
     count: int
+    records_apart: int
+    corners_apart: int
     triangles: wp.array(dtype=wp.vec3i)
     corners: wp.array(dtype=wp.vec4)
     records: wp.array2d(dtype=wp.vec4)

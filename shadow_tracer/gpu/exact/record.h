@@ -1,4 +1,5 @@
 // needs: exact/determinant.h
+// constants: GAP_VERTEX
 // arguments: LightFrame frame
 // The four planes of a triangle in a light's frame, and their error bounds: float64, rounded once. What compilers
 // contract here is within the bounds; see docs/exactness.md, section 3.
@@ -96,7 +97,8 @@ struct Record {
         for (int k = 0; k < 16; ++k)
             record[k] = k == 15 ? 1.0f : 0.0f;
     }
-    // That of triangle i; returns 1 if it casts nothing because it is degenerate, 2 because it is culled, else 0.
+    // That of triangle i; returns 1 if it casts nothing because it is degenerate, 2 because it is culled, 0 if it is in
+    // a gap or may cast a shadow.
     static inline int make(int i, const LightFrame& frame, double factor, double slope_factor, double offset_factor,
                            double u32, double setup, double largest_offset, const wp::array_t<wp::vec3d>& vertices,
                            const wp::array_t<wp::vec3i>& triangles, const wp::array_t<wp::vec4>& records, int cull) {
@@ -111,7 +113,7 @@ struct Record {
         const bool off = cull != 0 && side > 0;
         if (side == 0 || off) {
             never(to);
-            return off ? 2 : 1;
+            return corners[0] == GAP_VERTEX ? 0 : off ? 2 : 1;
         }
         const Factors factors = { factor, slope_factor, offset_factor, u32, setup, largest_offset };
         of(Axes::of(frame), factors, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2], side)

@@ -1,6 +1,6 @@
 // cpu
 // needs: exact/determinant.h exact/record.h
-// constants: RECORDS_BLOCK
+// constants: RECORDS_BLOCK GAP_VERTEX
 // arguments: LightFrame frame
 // First the side the light is on, as Determinant::sign decides it, without contraction; what it leaves open gets the
 // exact sign one by one (no permanent is above 1e-15 of NaN, so corners that are not finite are left open, too). Then
@@ -10,8 +10,8 @@ struct Records : Determinant {
                              double offset_factor, double u32, double setup, double largest_offset,
                              const wp::array_t<wp::vec3d>& vertices, const wp::array_t<wp::vec3i>& triangles,
                              int first_record, const wp::array_t<wp::vec4>& records, int first_corner,
-                             const wp::array_t<float>& corners, int cull, int first_row,
-                             const wp::array_t<int>& degenerate, const wp::array_t<int>& culled) {
+                             const wp::array_t<float>& corners, int cull, int row,
+                             const wp::array_t<wp::vec2i>& silent) {
         const int n = count - first < RECORDS_BLOCK ? count - first : RECORDS_BLOCK;
         double ax[RECORDS_BLOCK], ay[RECORDS_BLOCK], az[RECORDS_BLOCK], bx[RECORDS_BLOCK], by[RECORDS_BLOCK],
             bz[RECORDS_BLOCK], cx[RECORDS_BLOCK], cy[RECORDS_BLOCK], cz[RECORDS_BLOCK], side[RECORDS_BLOCK];
@@ -66,12 +66,10 @@ struct Records : Determinant {
             front += off;
             side[j] = off ? 0.0 : side[j];
         }
-        const int row = first_row + ((first / RECORDS_BLOCK) & 63);
-        // Several threads may make records of one light.
-        if (nothing)
-            __atomic_fetch_add(&degenerate.data[row], nothing, __ATOMIC_RELAXED);
-        if (front)
-            __atomic_fetch_add(&culled.data[row], front, __ATOMIC_RELAXED);
+        int gaps = 0;
+        for (int j = 0; nothing && j < n; ++j)
+            gaps += triangles.data[first + j][0] == GAP_VERTEX;
+        silent.data[row] = wp::vec2i(nothing - gaps, front);
         const Axes axes = Axes::of(frame);
         const Factors factors = { factor, slope_factor, offset_factor, u32, setup, largest_offset };
         for (int j = 0; j < n; ++j) {

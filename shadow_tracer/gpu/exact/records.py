@@ -7,6 +7,9 @@ finite, no area, or is seen exactly edge-on (``degenerate``), or its front faces
 
 CUDA takes one triangle per thread (``prepare_triangles``). On the CPU Warp's loops are scalar, so there a thread takes
 a block of triangles and the compiler puts the loops over them into vector registers (``prepare_block``).
+
+Those that cast nothing are counted for each block of 128 triangles, so that the records of some blocks can be made
+again; triangles of gaps (``occluders/world.py``) are neither degenerate nor culled.
 """
 
 from __future__ import annotations
@@ -27,6 +30,9 @@ OFFSET_FACTOR = 3.0
 SETUP_ERROR = 2.0**-46
 # A plane's offset beyond this may not fit in float32: its bound is infinite, so that it decides nothing there.
 LARGEST_OFFSET = 1.0e38
+# The vertex that is no mesh's, and not a number: the corners of a triangle in a gap (``occluders/world.py``).
+GAP_VERTEX = 0
+native.constants(GAP_VERTEX=GAP_VERTEX)
 
 
 @native.func_native("exact/record.h", calls="Record::make")
@@ -45,23 +51,29 @@ def make_record(
     cull: int,
 ) -> int:
     """Four planes and their error bounds of triangle ``i``: (n_ab, s_e) (n_bc, s_N) (n_ca, s_D) (N, D). Returns 1 if it
-    casts nothing because it is degenerate, 2 because it is culled, else 0."""
+    casts nothing because it is degenerate, 2 because it is culled, 0 if it is in a gap or may cast a shadow."""
     ...
+
+
+# Triangles per thread of the vectorised loops; their corners and planes stay in the first-level cache.
+BLOCK = 128
+native.constants(RECORDS_BLOCK=BLOCK)
 
 
 @wp.kernel(enable_backward=False)
 def prepare_triangles(
+    first: int,
     light: wp.array(dtype=LightFrame),
     factor: wp.float64,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
     records: wp.array2d(dtype=wp.vec4),
     cull: int,
-    degenerate: wp.array(dtype=int),
-    culled: wp.array(dtype=int),
+    silent: wp.array(dtype=wp.vec2i),
 ):
-    """One triangle per thread. With ``cull``, triangles whose front faces the light cast nothing."""
-    i = wp.tid()
+    """One triangle per thread, those from ``first`` on. With ``cull``, triangles whose front faces the light cast
+    nothing. ``silent``, of each block of triangles how many are degenerate and culled, is added to."""
+    i = first + wp.tid()
     nothing = make_record(
         i,
         light[0],
@@ -77,14 +89,23 @@ def prepare_triangles(
         cull,
     )
     if nothing == 1:
-        wp.atomic_add(degenerate, i & 63, 1)
+        wp.atomic_add(silent, i // BLOCK, wp.vec2i(1, 0))
     if nothing == 2:
-        wp.atomic_add(culled, i & 63, 1)
+        wp.atomic_add(silent, i // BLOCK, wp.vec2i(0, 1))
 
 
-# Triangles per thread of the vectorised loops; their corners and planes stay in the first-level cache.
-BLOCK = 128
-native.constants(RECORDS_BLOCK=BLOCK)
+# Sums of what casts nothing for a light: the CUDA form makes them of the counts per block, for the host to fetch.
+SUMS = 128
+
+
+@wp.kernel(enable_backward=False)
+def add_up(blocks: int, silent: wp.array(dtype=wp.vec2i), sums: wp.array(dtype=wp.vec2i)):
+    """Every so many blocks one thread."""
+    i = wp.tid()
+    total = wp.vec2i(0, 0)
+    for block in range(i, blocks, SUMS):
+        total += silent[block]
+    sums[i] = total
 
 
 @native.func_native("exact/records.h", calls="Records::block")
@@ -105,19 +126,19 @@ def prepare_block(
     first_corner: int,
     corners: wp.array(dtype=float),
     cull: int,
-    first_row: int,
-    degenerate: wp.array(dtype=int),
-    culled: wp.array(dtype=int),
+    row: int,
+    silent: wp.array(dtype=wp.vec2i),
 ):
     """``prepare_triangles`` for up to 128 triangles from ``first`` on, vectorised over triangles. Records go to
     ``first_record`` on and, if there are any ``corners``, theirs to ``first_corner`` on (counted in triangles, a
     multiple of 16): [sixteen][corner][U V W Z][16], each within 2^-24 relative and 2^-46 (1 + its distance from the
-    anchor) of exact. Those that cast nothing are counted in rows from ``first_row`` on."""
+    anchor) of exact. ``silent[row]`` becomes how many of them are degenerate and culled."""
     ...
 
 
 @wp.kernel(enable_backward=False)
 def prepare_blocks(
+    first_block: int,
     count: int,
     light: wp.array(dtype=LightFrame),
     factor: wp.float64,
@@ -125,10 +146,11 @@ def prepare_blocks(
     triangles: wp.array(dtype=wp.vec3i),
     records: wp.array2d(dtype=wp.vec4),
     cull: int,
-    degenerate: wp.array(dtype=int),
-    culled: wp.array(dtype=int),
+    silent: wp.array(dtype=wp.vec2i),
 ):
-    first = wp.tid() * BLOCK
+    """A block of triangles per thread, those from ``first_block`` on, of ``count`` triangles in all."""
+    block = first_block + wp.tid()
+    first = block * BLOCK
     no_corners = wp.array(ptr=wp.uint64(0), shape=(0,), dtype=float)
     prepare_block(
         first,
@@ -147,7 +169,6 @@ def prepare_blocks(
         0,
         no_corners,
         cull,
-        0,
-        degenerate,
-        culled,
+        block,
+        silent,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes around sixteen triangles each, made again only when the scene has changed, and how threads divide among them
+"""Boxes around sixteen triangles each, made again only where the scene has changed, and how threads divide among them
 what several need. For the CPU.
 
 Triangles that follow each other in a mesh mostly lie together, so a box says no for sixteen of them at once; in a soup
@@ -11,7 +11,9 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.occluders.world import Revision, SceneBuffers
+from shadow_tracer.gpu.occluders.changes import Revision
+from shadow_tracer.gpu.occluders.slots import blocks
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 
 CLUSTER = 16  # triangles
 _BOXES = 16  # clusters whose boxes are made, and looked at, together
@@ -62,10 +64,14 @@ class ClusterBoxes:
         self._made = wp.zeros(items, dtype=int, device=scene.device)
 
     def follow(self) -> None:
-        """Boxes of another revision of the scene are not used."""
-        if self._made_for != self._scene.revision:
-            self._made.zero_()
-            self._made_for = self._scene.revision
+        """Boxes of another revision of the scene are not used, where it has changed since."""
+        scene = self._scene
+        if self._made_for == scene.revision:
+            return
+        made, changed = self._made.numpy(), scene.changed_since(self._made_for)
+        for first, last in blocks(changed.triangles, CLUSTER * _BOXES, scene.triangle_count):
+            made[first:last] = 0
+        self._made_for = scene.revision
 
     def clusters(self) -> Clusters:
         """As kernels see them: ``claim`` and make what is needed."""

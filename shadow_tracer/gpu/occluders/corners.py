@@ -8,7 +8,9 @@ import warp as wp
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.slices import Slices
 from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.occluders.changes import Changed
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
+from shadow_tracer.gpu.occluders.slots import Range
 
 # Vertices per thread on the CPU.
 _BLOCK = 256
@@ -25,19 +27,34 @@ def project_block(
 
 @wp.kernel(enable_backward=False)
 def project_vertices(
-    light: wp.array(dtype=LightFrame), vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
+    first: int, light: wp.array(dtype=LightFrame), vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
 ):
-    """One vertex per thread."""
-    i = wp.tid()
+    """One vertex per thread, those from ``first`` on."""
+    i = first + wp.tid()
     project_block(light[0], i, i + 1, vertices, out)
 
 
 @wp.kernel(enable_backward=False)
 def project_vertex_blocks(
-    light: wp.array(dtype=LightFrame), count: int, vertices: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4)
+    begin: int,
+    end: int,
+    light: wp.array(dtype=LightFrame),
+    vertices: wp.array(dtype=wp.vec3d),
+    out: wp.array(dtype=wp.vec4),
 ):
-    first = wp.tid() * _BLOCK
-    project_block(light[0], first, wp.min(first + _BLOCK, count), vertices, out)
+    first = begin + wp.tid() * _BLOCK
+    project_block(light[0], first, wp.min(first + _BLOCK, end), vertices, out)
+
+
+def project(light: wp.array, vertices: wp.array, out: wp.array, some: Range) -> None:
+    """Project some vertices for a light (one LightFrame on the device)."""
+    first, last = some
+    inputs = [light, vertices, out]
+    if forms.wide(out.device):
+        blocks = -(-(last - first) // _BLOCK)
+        wp.launch(project_vertex_blocks, dim=blocks, inputs=[first, last, *inputs], device=out.device)
+    else:
+        wp.launch(project_vertices, dim=last - first, inputs=[first, *inputs], device=out.device)
 
 
 class Corners:
@@ -45,25 +62,24 @@ class Corners:
 
     def __init__(self, records: TriangleRecords) -> None:
         self._records, self._scene = records, records.scene
-        capacity = 3 * records.bounds.max_triangles
-        self._vertices = wp.empty(capacity, dtype=wp.vec4, device=self._scene.device)
+        self._vertices = wp.empty(records.most_vertices, dtype=wp.vec4, device=self._scene.device)
         self._slices = Slices()
 
-    def of(self, light: int, lights: int = 1) -> wp.array:
-        """Vertices for ``lights`` lights from number ``light`` on, light after light."""
-        count = self._scene.vertex_count
-        return self._slices(self._vertices, self._records.place(light) * count, lights * count)
+    @property
+    def stride(self) -> int:
+        """Vertices from a light to the next one."""
+        return self._records.vertex_stride
 
-    def make(self, frame: LightFrame) -> None:
-        """Make them for the light of ``frame``; to be done whenever its triangle records are made."""
-        scene, light = self._scene, self._records.light_frame(frame.number)
-        device, count = scene.device, scene.vertex_count
-        out = self.of(frame.number)
-        if forms.wide(device):
-            inputs = [light, count, scene.vertices, out]
-            wp.launch(project_vertex_blocks, dim=-(-count // _BLOCK), inputs=inputs, device=device)
-        else:
-            wp.launch(project_vertices, dim=count, inputs=[light, scene.vertices, out], device=device)
+    def of(self, light: int, lights: int = 1) -> wp.array:
+        """Vertices for ``lights`` lights from number ``light`` on, ``stride`` apart."""
+        return self._slices(self._vertices, self._records.place(light) * self.stride, lights * self.stride)
+
+    def make(self, frame: LightFrame, changed: Changed) -> None:
+        """Make those that have changed for the light of ``frame``; to be done whenever its triangle records are
+        made."""
+        light = self._records.light_frame(frame.number)
+        for some in changed.vertices:
+            project(light, self._scene.vertices, self.of(frame.number), some)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The device's copy of the scene: what has changed is copied, and vertices are put where their mesh is in the world."""
+"""The device's copy of the scene: what has changed is copied, and vertices are put where their mesh is in the world.
+
+A mesh keeps its range of vertices and its range of triangles while it lives and its numbers of them stay. What it
+leaves when it goes is a gap: triangles that cast nothing, until another mesh fits in there. All corners of such a
+triangle are vertex 0, which is no mesh's and not a number, so that they may be looked at like any others. When there is
+no gap for a mesh, or gaps are large, all meshes are laid end to end.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,24 +17,15 @@ import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.transfers import Uploads
+from shadow_tracer.gpu.exact.records import GAP_VERTEX
+from shadow_tracer.gpu.occluders.changes import Changed, History, Revision
+from shadow_tracer.gpu.occluders.slots import Range, Room, merged
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, all_three
 from shadow_tracer.scene.mesh import Mesh, Scene
 
-
-@dataclass(frozen=True)
-class Revision:
-    """What is on the device. Whoever makes something of the scene keeps the revision that it was made for.
-
-    Attributes:
-        topology: another number whenever triangles may have others' places or corners.
-        positions: another number whenever anything is different.
-    """
-
-    topology: int = 0
-    positions: int = 0
-
-
+# Gaps of more than this share of what there is are closed.
+_WASTE = 0.5
 _BLOCK = wp.constant(1024)
 
 
@@ -88,56 +85,138 @@ class _Part:
     pose: int
     mesh_vertices: FloatArray  # (V, 3) in the mesh's own frame
     mesh_pose: FloatArray
+    finite: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)  # box of its vertices, once it is known
+
+    @property
+    def slot(self) -> tuple[Range, Range]:
+        """Its vertices, and its triangles."""
+        vertices = self.first_vertex, self.first_vertex + self.vertex_count
+        return vertices, (self.first_triangle, self.first_triangle + self.triangle_count)
+
+    def fits(self, mesh: Mesh) -> bool:
+        """Whether the mesh may lie there."""
+        return (self.vertex_count, self.triangle_count) == (len(mesh.vertices), len(mesh.triangles))
 
 
 class SceneBuffers:
-    """The scene on the device: all meshes behind each other, vertices local and in the world (float64), corner
-    indices."""
+    """The scene on the device: vertices local and in the world (float64), corner indices.
 
-    def __init__(self, bounds: Bounds, device: Any, upload: Uploads | None = None) -> None:
+    Args:
+        ordered: whether meshes always lie end to end in their order, for those to whom triangles' numbers matter.
+
+    Attributes:
+        triangle_count, vertex_count: what is looked at: those of meshes and of the gaps between them.
+        live_triangles: those of meshes alone.
+    """
+
+    def __init__(self, bounds: Bounds, device: Any, upload: Uploads | None = None, ordered: bool = False) -> None:
         self.device = device
         self.upload = upload or Uploads(device)
-        vertices = 3 * bounds.max_triangles
+        vertices = GAP_VERTEX + 1 + 3 * bounds.max_triangles
         # The CPU reads them where the meshes have them.
         self.local = wp.empty(0 if forms.wide(device) else vertices, dtype=wp.vec3d, device=device)
         self.vertices = wp.empty(vertices, dtype=wp.vec3d, device=device)
         self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
-        self.triangle_count = 0
-        self.vertex_count = 0
+        self.triangle_count = self.vertex_count = self.live_triangles = 0
         self.revision = Revision()
+        self._ordered = ordered
+        self._history = History()
         self._box: tuple[Revision, FloatArray, FloatArray] | None = None
         self._parts: dict[str, _Part] = {}
         self._copied = -1  # revision of the scene
+        self._whole = False  # whether what is said here is so
 
     def sync(self, scene: Scene) -> None:
         """Copy what changed in ``scene`` since the last call; all of it after a call that raised."""
-        if scene.revision == self._copied:
+        if self._whole and scene.revision == self._copied:
             return
-        try:
-            self._copy(scene)
-        except BaseException:
-            self._parts, self._copied = {}, -1
-            raise
+        if not self._whole:
+            self._begin_anew()
+        self._whole = False
+        self._copy(scene)
+        self._whole = True
+
+    def changed_since(self, revision: Revision | None) -> Changed:
+        """What is not as it was in an earlier revision; None is before the first."""
+        changed = None if revision is None else self._history.since(revision.positions)
+        if changed is None:
+            return Changed(((0, self.triangle_count),), ((0, self.vertex_count),), everything=True)
+        return changed
+
+    def _begin_anew(self) -> None:
+        """Whatever is there is not known; nobody has seen the revision that this is."""
+        number = self.revision.positions + 1
+        self._history.clear()
+        self._parts, self.revision = {}, Revision(number, number)
+        self.upload(self.vertices, np.full((1, 3), np.nan), GAP_VERTEX)
 
     def _copy(self, scene: Scene) -> None:
-        placed = positioned = True
+        placed, before = True, self._parts
         parts: dict[str, _Part] = {}
-        first_vertex = first_triangle = 0
-        for mesh in scene:
-            part, part_placed, part_positioned = self._sync_part(mesh, first_vertex, first_triangle)
+        vertices: list[Range] = []
+        triangles: list[Range] = []
+        for mesh, place in zip(scene, self._places(scene), strict=True):
+            part, part_placed, part_positioned = self._sync_part(mesh, *place)
             parts[mesh.name] = part
-            placed, positioned = placed and part_placed, positioned and part_positioned
-            first_vertex += part.vertex_count
-            first_triangle += part.triangle_count
-        # A mesh that is gone leaves the others in their places if it was the last, be it vertices without triangles.
-        placed = placed and (first_vertex, first_triangle) == (self.vertex_count, self.triangle_count)
+            placed = placed and part_placed
+            if not part_positioned:
+                triangles.append(part.slot[1])
+                vertices += [part.slot[0]] if part.triangle_count else []
+        left = [old.slot for name, old in before.items() if name not in parts or parts[name].slot != old.slot]
         self._parts = parts
         self._copied = scene.revision
-        self.triangle_count = first_triangle
-        self.vertex_count = first_vertex
-        if not (placed and positioned):
-            next_one = self.revision.positions + 1
-            self.revision = Revision(self.revision.topology if placed else next_one, next_one)
+        self.live_triangles = scene.triangle_count
+        slots = [part.slot for part in parts.values()]
+        self.vertex_count = max((last for (first, last), _ in slots if first < last), default=0)
+        self.triangle_count = max((last for _, (first, last) in slots if first < last), default=0)
+        self._empty([slot[1] for slot in left])
+        if left or vertices or triangles or not placed:
+            number = self.revision.positions + 1
+            self._history.add(number, merged([*triangles, *(slot[1] for slot in left)]), merged(vertices))
+            self.revision = Revision(number if left or not placed else self.revision.topology, number)
+
+    def _places(self, scene: Scene) -> list[tuple[int, int]]:
+        """First vertex and triangle of each mesh: where it is, in a gap, behind the others, or, if that does not do,
+        end to end."""
+        if self._ordered:
+            return _end_to_end(scene)
+        meshes = list(scene)
+        parts = [self._parts.get(mesh.name) for mesh in meshes]
+        kept = [
+            part if part is not None and part.fits(mesh) else None for part, mesh in zip(parts, meshes, strict=True)
+        ]
+        if len(kept) == len(self._parts) and None not in kept:
+            return [(part.first_vertex, part.first_triangle) for part in kept if part is not None]
+        slots = [part.slot for part in kept if part is not None]
+        vertices = Room(GAP_VERTEX + 1, len(self.vertices), (slot[0] for slot in slots))
+        triangles = Room(0, len(self.triangles), (slot[1] for slot in slots))
+        places: list[tuple[int, int]] = []
+        most_vertices = most_triangles = 0
+        for mesh, part in zip(meshes, kept, strict=True):
+            at: tuple[int | None, int | None]
+            if part is None:
+                at = vertices.take(len(mesh.vertices)), triangles.take(len(mesh.triangles))
+            else:
+                at = part.first_vertex, part.first_triangle
+            if at[0] is None or at[1] is None:
+                return _end_to_end(scene)
+            places.append((at[0], at[1]))
+            most_vertices = max(most_vertices, at[0] + len(mesh.vertices))
+            most_triangles = max(most_triangles, at[1] + len(mesh.triangles))
+        wasted = most_vertices - 1 > (1.0 + _WASTE) * scene.vertex_count
+        wasted |= most_triangles > (1.0 + _WASTE) * scene.triangle_count
+        return _end_to_end(scene) if wasted else places
+
+    def _empty(self, left: list[Range]) -> None:
+        """Triangles that cast nothing where meshes have been and none is, up to the last that is looked at."""
+        taken = (part.slot[1] for part in self._parts.values())
+        for first, last in Room(0, len(self.triangles), taken).within(left, self.triangle_count) if left else ():
+            self.triangles[first:last].fill_(wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX))
+
+    @property
+    def parts(self) -> int:
+        """Number of meshes."""
+        return len(self._parts)
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
@@ -169,6 +248,7 @@ class SceneBuffers:
             mesh.pose_revision,
             mesh.vertices,
             mesh.pose,
+            old.finite if old is not None and old.vertices == mesh.vertices_revision else [],
         )
         return part, placed, positioned
 
@@ -193,7 +273,9 @@ class SceneBuffers:
     def _find_box(self) -> tuple[FloatArray, FloatArray]:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for part in self._parts.values():
-            least, most = _finite_box(part.mesh_vertices)
+            if not part.finite:
+                part.finite.append(_finite_box(part.mesh_vertices))
+            least, most = part.finite[0]
             if part.triangle_count == 0 or not np.all(least <= most):
                 continue
             rotation, position = part.mesh_pose[:3, :3], part.mesh_pose[:3, 3]
@@ -203,6 +285,17 @@ class SceneBuffers:
             slack = 1e-14 * (np.abs(middle) + np.abs(half))
             low, high = np.minimum(low, middle - half - slack), np.maximum(high, middle + half + slack)
         return (low, high) if np.all(low <= high) else (np.zeros(3), np.zeros(3))
+
+
+def _end_to_end(scene: Scene) -> list[tuple[int, int]]:
+    """First vertex and triangle of each mesh if there are no gaps."""
+    places = []
+    vertices, triangles = GAP_VERTEX + 1, 0
+    for mesh in scene:
+        places.append((vertices, triangles))
+        vertices += len(mesh.vertices)
+        triangles += len(mesh.triangles)
+    return places
 
 
 def _finite_box(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:

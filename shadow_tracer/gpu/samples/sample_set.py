@@ -86,6 +86,8 @@ class FrameBuffers:
         self.pinhole = self._pinhole.array
         self.light_frame_of = [self._light_frames.array[k : k + 1] for k in range(bounds.max_lights)]
         self._lights_from = [self._light_frames.array[k:] for k in range(bounds.max_lights)]
+        # Points of a light that each sample sees, as bits: where its ray was, which this question needs no more.
+        self._seen = wp.array(ptr=self.rays.ptr, dtype=wp.uint64, shape=self.rays.shape, device=device)
         self.states = take("states", rays * bounds.max_lights, wp.uint8)  # light after light
         # None in the wide form, see ``visibility/answers.py``; the CUDA form has one share.
         places = 0 if forms.wide(device) else bounds.queue_capacity
@@ -124,6 +126,12 @@ class FrameBuffers:
         """Rays of the light at ``place`` in its pass."""
         return self._slices(self.rays, place * self.count, self.count)
 
+    @property
+    def seen(self) -> wp.array:
+        """Memory for a bit of each of 64 points and sample, which rays do not outlive: ``renew`` says so."""
+        self.renew()
+        return self._seen
+
     def mine(self, image: wp.array) -> wp.array:
         """The pixels of a whole image that belong to these samples."""
         return self._slices(image, self.first, self.count)
@@ -146,4 +154,5 @@ class FrameBuffers:
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
-        return sum(a.capacity for a in vars(self).values() if isinstance(a, wp.array))
+        arrays = [a for a in vars(self).values() if isinstance(a, wp.array) and a is not self._seen]
+        return sum(a.capacity for a in arrays)

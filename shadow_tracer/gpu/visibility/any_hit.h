@@ -4,6 +4,7 @@
 // lanes
 // The query *any hit*: whether something hides LANES rays of one light. Whoever walks shows it triangles.
 struct WIDE(AnyHit) {
+    enum { SPREADS = 0 }; // whether the rays that are walked together are a bundle, see spread()
     typedef WIDE(Lanes) Lanes;
     const wp::array_t<wp::vec4>& rays;
     const Occluders& occluders;
@@ -85,9 +86,11 @@ struct WIDE(AnyHit) {
             if (visit(t))
                 return;
     }
+    inline int triangle_count() const { return occluders.count; }
     // The sample and the light of the only ray.
     inline const wp::vec4d& sample() const { return answers.positions.data[ray[0]]; }
     inline const wp::vec4d& light() const { return answers.lights.data[0].light; }
+    static inline double spread() { return 0.0; }
     inline void end() { taken = 0; }
     inline void report(int row) const {
         wp::int64* counter = answers.counters.data + (size_t)(row & (COUNTER_ROWS - 1)) * answers.counters.shape[1];

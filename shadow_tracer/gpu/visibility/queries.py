@@ -13,6 +13,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.visibility.answers import Answers
 
@@ -45,4 +46,34 @@ class AnyHit:
 
 
 ANY_HIT = Query("visibility/any_hit.h", AnyHit)
-ALL = (ANY_HIT,)
+
+# Points of a light that a mask has bits for.
+MASK_POINTS = 64
+# In units of the sum of the magnitudes that a determinant's terms are products of. Coordinates relative to the sample
+# are within u of exact, u = 2^-53, and so each of the six products of three is within 3 u, and the three sums and
+# products that make the determinant of them round five times more: 8 u and second orders, 9e-16. For the plane of the
+# triangle it is the sum of two determinants, each with a pad.
+MASK_PAD = 1e-14
+native.constants(MASK_PAD=MASK_PAD)
+
+
+@wp.struct
+class Mask:
+    """Which of some points of a light samples do not see: in the coordinates of the scene."""
+
+    count: int  # of points, at most MASK_POINTS
+    points: wp.array(dtype=wp.vec4d)
+    middle: wp.vec4d  # of a sphere that holds them, and its radius [m]
+    radius: wp.float64
+    positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
+    states: wp.array(dtype=wp.uint8)  # those that are LIT or SHADOWED ask
+    seen: wp.array(dtype=wp.uint64)  # the answers: a bit for each point that is seen
+    vertices: wp.array(dtype=wp.vec3d)
+    triangles: wp.array(dtype=wp.vec3i)
+    triangle_count: int
+    cull: int
+    counters: wp.array2d(dtype=wp.int64)
+
+
+MASK = Query("visibility/mask.h", Mask)
+ALL = (ANY_HIT, MASK)

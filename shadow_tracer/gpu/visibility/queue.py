@@ -53,6 +53,7 @@ def list_open(answers: Answers, open_rays: wp.array(dtype=int), open_count: wp.a
 @wp.kernel(enable_backward=False)
 def decide_open(
     stride: int,
+    records_apart: int,
     triangle_count: int,
     rays: wp.array(dtype=wp.vec4),
     records: wp.array2d(dtype=wp.vec4),
@@ -60,14 +61,14 @@ def decide_open(
     open_count: wp.array(dtype=int),
     answers: Answers,
 ):
-    """Every listed ray against every triangle, whose records lie light after light."""
+    """Every listed ray against every triangle, whose records lie light after light, so far apart."""
     thread = wp.tid()
     tests = int(0)
     for k in range(open_count[0]):
         i = open_rays[k]
         ray = rays[i]
         magnitude = ray_magnitude(ray)
-        first = i // answers.samples * triangle_count
+        first = i // answers.samples * records_apart
         t = thread
         while t < triangle_count and answers.states[i] != wp.uint8(SHADOWED):
             answer = filter_pair(ray, magnitude, records, first + t)
@@ -84,10 +85,12 @@ def decide_open(
 
 
 class Pending(NamedTuple):
-    """A pass whose pairs wait: where its answers go, its rays, and the records of its triangles, light after light."""
+    """A pass whose pairs wait: where its answers go, its rays, and the records of its triangles, those of a light so
+    many behind those of the one before."""
 
     answers: Answers
     ray_count: int
+    records_apart: int
     triangle_count: int
     rays: wp.array
     records: wp.array
@@ -120,8 +123,8 @@ class WaitingPairs:
 
         def swept() -> tuple[int, list[Any]]:
             pending, threads = ask(), self._sweepers
-            inputs = [threads, pending.triangle_count, pending.rays, pending.records, self._open, self._open_count]
-            return threads, [*inputs, pending.answers]
+            inputs = [threads, pending.records_apart, pending.triangle_count, pending.rays, pending.records]
+            return threads, [*inputs, self._open, self._open_count, pending.answers]
 
         self._launch(decide_queue, key, queued)
         self._launch(list_open, key, listed)

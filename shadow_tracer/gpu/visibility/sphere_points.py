@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sphere lights as many point lights: traced in batches of as many lights as a frame has room for, and counted.
+"""Sphere lights as many points: traced as point lights, in batches of as many lights as a frame has room for, or asked
+about all together, and counted.
 
-What is traced is exact, so the counts are the same whatever the pipeline, and however the lights are cut into batches.
+What is traced is exact, so the counts are the same whatever the pipeline, however the lights are cut into batches, and
+whether their points are lights or bits.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from shadow_tracer.gpu.exact.light_frame import INVALID, LIT, OUTSIDE, SHADOWED
 from shadow_tracer.scene.lights import HardLight, Light, PointLight, SphereLight
 
 PENUMBRA = 4  # shadow_tracer.visibility.State; on the device 4 means something else
+
+_ONES = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
 
 States = npt.NDArray[np.uint8]
 Counts = npt.NDArray[np.uint16]
@@ -47,12 +51,14 @@ class Tally:
         lights: all lights of the frame.
         count: samples of the frame.
         together: the most point lights of a batch.
+        masks: whether of spheres the centres alone are traced, and their points are counted by ``count``.
     """
 
-    def __init__(self, lights: Sequence[Light], count: int, together: int) -> None:
+    def __init__(self, lights: Sequence[Light], count: int, together: int, masks: bool = False) -> None:
         self._lights = lights
         self._together = together
-        self._parts = [part for number, light in enumerate(lights) for part in _parts(number, light)]
+        self._masks = masks
+        self._parts = [part for number, light in enumerate(lights) for part in _parts(number, light, masks)]
         # Hard lights first: then they are in the same batch, frame after frame, however many spheres there are.
         self._parts.sort(key=lambda part: isinstance(lights[part.light], SphereLight))
         self._states: States = np.full((len(lights), count), LIT, np.uint8)
@@ -73,6 +79,18 @@ class Tally:
             if part.counts:
                 self._reached[part.light] += row == LIT
 
+    def spheres(self, first: int, batch: int) -> Iterator[tuple[int, int, SphereLight]]:
+        """With ``masks``, of the spheres whose centres are in a batch: place in it, number, and light."""
+        for place, part in enumerate(self._parts[first : first + batch]):
+            light = self._lights[part.light]
+            if self._masks and isinstance(light, SphereLight):
+                yield place, part.light, light
+
+    def count(self, number: int, first: int, seen: npt.NDArray[np.uint64]) -> None:
+        """Take in which points of light ``number`` the samples from ``first`` on see, as bits."""
+        ones = _ONES[seen.view(np.uint8).reshape(len(seen), 8)].sum(axis=1, dtype=np.uint16)
+        self._reached[number][first : first + len(seen)] += ones
+
     def result(self) -> tuple[States, dict[int, Counts]]:
         """(L, N) states of the lights, and (N,) for each sphere how many of its points reach: 0 where it does not
         shine."""
@@ -88,13 +106,15 @@ class Tally:
         return self._states, self._reached
 
 
-def _parts(number: int, light: Light) -> Iterator[_Part]:
+def _parts(number: int, light: Light, masks: bool) -> Iterator[_Part]:
     if not isinstance(light, SphereLight):
         yield _Part(number, light, True, False)
         return
     bounded = math.isfinite(light.range)
-    if bounded:
+    if bounded or masks:
         yield _Part(number, PointLight(light.name, light.position, light.range), True, False)
+    if masks:
+        return
     # What the centre does not reach is not asked about; so points need not reach farther than this, roundings included.
     reach = (light.range + light.radius) * (1.0 + 1e-9) + 1e-9 * float(np.abs(light.position).max())
     for index, point in enumerate(light.points):

@@ -15,7 +15,7 @@ wp = pytest.importorskip("warp")
 from shadow_tracer import Bounds, DirectionalLight, PointLight, SpotLight  # noqa: E402
 from shadow_tracer.gpu.device.devices import pick_device  # noqa: E402
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame  # noqa: E402
-from shadow_tracer.gpu.exact.records import FILTER_FACTOR, prepare_triangles  # noqa: E402
+from shadow_tracer.gpu.exact.records import BLOCK, FILTER_FACTOR, prepare_triangles  # noqa: E402
 from shadow_tracer.gpu.occluders.seen import prepare  # noqa: E402
 from shadow_tracer.gpu.occluders.world import SceneBuffers  # noqa: E402
 from shadow_tracer.gpu.samples import pixels  # noqa: E402
@@ -229,22 +229,23 @@ def _prepared(frame: FrameBuffers, scene: SceneBuffers, light: Any, cull: int, b
     frame.set_lights([make_light_frame(light, Anchor((0.1, 0.0, -0.1), 2.5))])
     made = wp.empty((_TRIANGLES, 4), dtype=wp.vec4, device="cpu")
     made.fill_(wp.vec4(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
-    degenerate, culled = wp.zeros(64, dtype=int, device="cpu"), wp.zeros(64, dtype=int, device="cpu")
+    silent = wp.zeros(-(-_TRIANGLES // BLOCK), dtype=wp.vec2i, device="cpu")
     if blocks:
-        prepare(frame.light_frame_of[0], scene, made, bool(cull), degenerate, culled)
+        prepare(frame.light_frame_of[0], scene, made, bool(cull), silent)
     else:
         inputs = [
+            0,
             frame.light_frame_of[0],
             FILTER_FACTOR,
             scene.vertices,
             scene.triangles,
             made,
             cull,
-            degenerate,
-            culled,
+            silent,
         ]
         wp.launch(prepare_triangles, dim=scene.triangle_count, inputs=inputs, device="cpu")
-    return made.numpy().copy(), int(degenerate.numpy().sum()), int(culled.numpy().sum())
+    degenerate, culled = silent.numpy().sum(axis=0)
+    return made.numpy().copy(), int(degenerate), int(culled)
 
 
 @pytest.mark.parametrize("make", _MESHES, ids=lambda make: make.__name__.strip("_"))

@@ -39,7 +39,7 @@ def _prepare(
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
     records: wp.array2d(dtype=wp.vec4),
-    counts: wp.array(dtype=int),
+    counts: wp.array(dtype=wp.vec2i),
 ):
     first = wp.tid() * setup.BLOCK
     none = wp.array(ptr=wp.uint64(0), shape=(0,), dtype=float)
@@ -60,8 +60,7 @@ def _prepare(
         0,
         none,
         0,
-        0,
-        counts,
+        wp.tid(),
         counts,
     )
 
@@ -145,6 +144,11 @@ def frame() -> FrameBuffers:
     return FrameBuffers(bounds, pick_device("cpu"))
 
 
+def _counts() -> Any:
+    """Of each block of triangles, what casts nothing."""
+    return wp.zeros(-(-_TRIANGLES // setup.BLOCK), dtype=wp.vec2i, device="cpu")
+
+
 class _Judged:
     """Pairs of a family: ``hidden`` (T, 16) exactly; answers of the filter on demand."""
 
@@ -166,19 +170,19 @@ class _Judged:
 
     def scalar_records(self) -> Any:
         """As CUDA makes them."""
-        records, counts = wp.empty((_TRIANGLES, 4), dtype=wp.vec4, device="cpu"), wp.zeros(64, dtype=int, device="cpu")
+        records, counts = wp.empty((_TRIANGLES, 4), dtype=wp.vec4, device="cpu"), _counts()
         inputs = [self._frame.light_frame_of[0], setup.FILTER_FACTOR, self._vertices, self._triangles]
         wp.launch(
             setup.prepare_triangles,
             dim=_TRIANGLES,
-            inputs=[*inputs, records, 0, counts, counts],
+            inputs=[0, *inputs, records, 0, counts],
             device="cpu",
         )
         return records
 
     def records(self, factors: tuple[float, float, float] = _TRUE) -> Any:
         """With these factors of m, of the offset and of float64's errors."""
-        records, counts = wp.empty((_TRIANGLES, 4), dtype=wp.vec4, device="cpu"), wp.zeros(64, dtype=int, device="cpu")
+        records, counts = wp.empty((_TRIANGLES, 4), dtype=wp.vec4, device="cpu"), _counts()
         inputs = [_TRIANGLES, self._frame.light_frame_of[0], wp.vec3d(*factors)]
         inputs += [self._vertices, self._triangles, records, counts]
         wp.launch(_prepare, dim=-(-_TRIANGLES // setup.BLOCK), inputs=inputs, device="cpu")

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Traits
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.gpu.device.counters import EXACT, RETESTED
 from shadow_tracer.gpu.exact.decision import decide, is_ray
 from shadow_tracer.gpu.exact.determinant import determinant_sign
 from shadow_tracer.gpu.exact.light_frame import SHADOWED
 from shadow_tracer.gpu.samples.passes import Pass
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK
 
 
 @wp.struct
@@ -67,11 +68,12 @@ def test_all_float64(
 class BruteForce(Walker):
     """The ``brute_force`` pipeline."""
 
-    walk = Walk("accelerators/brute_force/every_triangle.h", Structure, lanes=16)
+    walk = Walk("accelerators/brute_force/every_triangle.h", Structure, lanes=16, queries=(ANY_HIT, MASK))
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
         self._exact = variant == "float64"
+        self.traits = Traits() if self._exact else Traits(masks=True)
         self.structure = Structure()
 
     def follow(self) -> None:

@@ -11,8 +11,8 @@ struct Walk1 {
     // Entry distance of a node's box, or one that is not `met`.
     inline float enter(int node) const {
         Slabs1 slabs;
-        slabs.enter((const float*)(tree.node_lowers + node), (const float*)(tree.node_uppers + node), segment.origin,
-                    inverse, segment.longest);
+        slabs.enter((const float*)(tree.node_lowers + node), (const float*)(tree.node_uppers + node), segment.above,
+                    segment.below, inverse, segment.longest);
         return slabs.met ? slabs.in : 3.0e38f;
     }
     static inline bool met(float distance) { return distance < 1.0e38f; }
@@ -28,7 +28,7 @@ struct Walk1 {
             const int left = lower.i, right = tree.node_uppers[node].i;
             if (lower.b) {
                 for (int k = left; k < right; ++k)
-                    if (query.visit(tree.primitive_indices[k]))
+                    if (Leaf::visit(tree.primitive_indices[k], query))
                         return true;
             } else {
                 const float to_left = enter(left), to_right = enter(right);
@@ -53,7 +53,7 @@ struct Walk1 {
     }
     static inline void walk(const Structure& structure, Query1& query) {
         Segment segment;
-        const int place = segment.place(query.sample(), query.light(), structure.box);
+        const int place = segment.place(query, structure.box);
         if (place == Segment::MISSES || (place == Segment::MEETS && Hints::enough(structure, query)))
             return;
         const wp::vec3 inverse(1.0f / segment.direction[0], 1.0f / segment.direction[1], 1.0f / segment.direction[2]);

@@ -6,9 +6,13 @@ mesh leak), and its triangle test is float32 from the sample's side. Here the tr
 test decides, and boxes are padded so that no rounding can hide a triangle: ``segment.py`` leaves 27 u E of the padding,
 u = 2^-24 and E the scene's extent, and the slab test's three roundings displace a slab by at most 3 u * 2 E.
 
-The tree is refitted while only positions change and rebuilt when the topology does. A refitted tree grows worse as
-things move, so it is rebuilt as well once rays test twice as many triangles as they did right after the last build.
-Variant ``rebuild`` rebuilds always; ``binary`` is ``refit`` without the wide form of the tree that the CPU uses.
+The tree is refitted while only positions change. A mesh that comes or goes leaves the triangles of others where they
+are, so the tree is refitted then, too, as long as no more than an eighth of the triangles have been replaced since it
+was built and there are boxes for all: where there are several meshes, a tree has some to spare. Boxes without a
+triangle lie outside of the scene, where no ray meets them; but a leaf may hold them beside triangles. A refitted tree
+grows worse as things move, so it is rebuilt as well once rays test twice as many triangles as they did right after the
+last build. Variant ``rebuild`` rebuilds always; ``binary`` is ``refit`` without the wide form of the tree that the CPU
+uses.
 """
 
 from __future__ import annotations
@@ -16,11 +20,19 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.bvh.wide_tree import BOUNDS_PER_NODE, LINKS_PER_NODE, collapse
-from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.segment import SceneBox, scene_box, triangle_boxes
+from shadow_tracer.gpu.accelerators.interface import Context, Traits
+from shadow_tracer.gpu.accelerators.segment import SceneBox, empty_boxes, holds, scene_box, triangle_boxes
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.occluders.changes import Revision
+from shadow_tracer.gpu.occluders.slots import Ranges
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK
+from shadow_tracer.scene.checks import FloatArray
 
+# Boxes to spare: one for so many triangles, and these; and the share of triangles that may be replaced, or boxes that
+# may hold nothing, before the tree is built again.
+_TRIANGLES_PER_SPARE, _SPARES = 64, 32
+_REPLACED = 1 / 8
 # A refitted tree whose rays test this many times the triangles they tested after the last build is built again.
 _WORN_OUT = 2.0
 
@@ -36,12 +48,14 @@ class Structure:
     box: SceneBox
 
 
-_WIDE = Walk("accelerators/bvh/wide_tree.h", Structure)
-_BINARY = Walk("accelerators/bvh/binary_tree.h", Structure)
+_WIDE = Walk("accelerators/bvh/wide_tree.h", Structure, queries=(ANY_HIT, MASK))
+_BINARY = Walk("accelerators/bvh/binary_tree.h", Structure, queries=(ANY_HIT, MASK))
 
 
 class MeshBvh(Walker):
     """The ``mesh_bvh`` pipeline."""
+
+    traits = Traits(masks=True)
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
@@ -61,24 +75,59 @@ class MeshBvh(Walker):
         self._tree.links = wp.empty(nodes * LINKS_PER_NODE, dtype=int, device=device)
         self._tree.hints = wp.zeros(bounds.max_rays, dtype=int, device=device)
         self._wide_nodes = wp.zeros(1, dtype=int, device=device)
-        self._built_count = 0
+        self._built_for: Revision | None = None
+        self._built_count = 0  # boxes
+        self._replaced = 0  # triangles since the last build
+        self._held: tuple[FloatArray, FloatArray] | None = None  # what the tree's box was made to hold
         self._fresh_tests: float | None = None  # tests per ray of the first frame after a build
         self._worn_out = False
 
     def build(self) -> Structure:
         """Refit or build the tree."""
-        scene, device, made_for = self._context.scene, self._context.frame.device, self._made_for
-        count = scene.triangle_count
-        same = made_for is not None and made_for.topology == scene.revision.topology
-        rebuild = self._variant == "rebuild" or not same or self._worn_out
-        self._tree.box = scene_box(*scene.box())
-        inputs = [self._tree.box, scene.vertices, scene.triangles, self._lowers, self._uppers]
-        wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
-        if self._bvh is None or count != self._built_count:
-            # In place is impossible with another number of boxes; the old tree is freed with its object.
-            self._bvh = wp.Bvh(self._lowers[:count], self._uppers[:count], constructor=self._constructor, leaf_size=4)
-            self._built_count = count
-            rebuild = True
+        scene, built_for = self._context.scene, self._built_for
+        changed = scene.changed_since(built_for)
+        if built_for is None or built_for.topology != scene.revision.topology:
+            self._replaced += sum(last - first for first, last in changed.triangles)
+        spare = self._built_count - scene.triangle_count
+        fits = self._bvh is not None and 0 <= spare <= _REPLACED * scene.triangle_count + _SPARES
+        rebuild = self._variant == "rebuild" or self._worn_out or not fits
+        rebuild |= self._replaced > _REPLACED * scene.triangle_count
+        if not fits or (rebuild and scene.parts == 1 and spare > 0):
+            self._bvh = None  # in place is impossible with another number of boxes
+        self._make_boxes(rebuild, changed.triangles)
+        self._make_tree(rebuild)
+        if rebuild:
+            self._fresh_tests = None
+            self._worn_out, self._replaced = False, 0
+        self._built_for = scene.revision
+        return self._tree
+
+    def _make_boxes(self, rebuild: bool, changed: Ranges) -> None:
+        """Boxes of triangles, where they have ``changed``, in units of a box around all."""
+        scene = self._context.scene
+        low, high = scene.box()
+        if self._bvh is None:
+            spare = scene.triangle_count // _TRIANGLES_PER_SPARE + _SPARES if scene.parts > 1 else 0
+            self._built_count = min(scene.triangle_count + spare, len(self._lowers))
+        count, boxes, arrays = scene.triangle_count, self._built_count, [self._lowers, self._uppers]
+        many = sum(last - first for first, last in changed) > count // 2
+        if rebuild or many or self._held is None or not holds(self._held, low, high):
+            self._tree.box, self._held, changed = scene_box(low, high), (low, high), ((0, boxes),)
+        for first, last in changed:
+            if first < count:
+                inputs = [first, boxes, self._tree.box, scene.vertices, scene.triangles, *arrays]
+                wp.launch(triangle_boxes, dim=min(last, count) - first, inputs=inputs, device=scene.device)
+            first = max(first, count)
+            if first < min(last, boxes):
+                wp.launch(
+                    empty_boxes, dim=min(last, boxes) - first, inputs=[first, boxes, *arrays], device=scene.device
+                )
+
+    def _make_tree(self, rebuild: bool) -> None:
+        """Build the tree around the boxes, or refit it."""
+        if self._bvh is None:
+            some = self._lowers[: self._built_count], self._uppers[: self._built_count]
+            self._bvh = wp.Bvh(*some, constructor=self._constructor, leaf_size=4)
         elif rebuild:
             self._bvh.rebuild()
         else:
@@ -87,12 +136,8 @@ class MeshBvh(Walker):
         self.walk = _BINARY
         if self._widens:
             inputs = [self._bvh.id, self._tree.bounds, self._tree.links, self._wide_nodes]
-            wp.launch(collapse, dim=1, inputs=inputs, device=device)
+            wp.launch(collapse, dim=1, inputs=inputs, device=self._context.frame.device)
             self.walk = _WIDE if self._wide_nodes.numpy()[0] > 0 else _BINARY
-        if rebuild:
-            self._fresh_tests = None
-            self._worn_out = False
-        return self._tree
 
     def learn(self, counters: dict[str, int]) -> None:
         """Judge the tree by the triangles tested per ray in the frame that just ended."""

@@ -7,13 +7,14 @@ struct WIDE(Slabs) {
 
     static inline REAL smaller(REAL x, REAL y) { return x < y ? x : y; }
     static inline REAL larger(REAL x, REAL y) { return x > y ? x : y; }
-    // low, high: U V W of the boxes; inverse: of the direction.
-    inline void enter(const REAL* low, const REAL* high, const wp::vec3& origin, const wp::vec3& inverse,
-                      float longest) {
+    // low, high: of the boxes; above, below: where the ray begins, as Segment has it; inverse: of its direction.
+    inline void enter(const REAL* low, const REAL* high, const wp::vec3& above, const wp::vec3& below,
+                      const wp::vec3& inverse, float longest) {
         REAL near[3], far[3];
         const REAL none = 0.0f, most = longest;
         for (int k = 0; k < 3; ++k) {
-            const REAL one = (low[k] - origin[k]) * inverse[k], two = (high[k] - origin[k]) * inverse[k];
+            const REAL one = (low[k] - above[k]) * inverse[k];
+            const REAL two = (high[k] - below[k]) * inverse[k];
             near[k] = smaller(one, two);
             far[k] = larger(one, two);
         }

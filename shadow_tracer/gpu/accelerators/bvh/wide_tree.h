@@ -18,7 +18,7 @@ struct Walk1 {
             const int* link = structure.links.data + LINKS * (size_t)node;
             const int* count = link + TREE_WIDTH;
             Slabs8 slabs;
-            slabs.enter(bound, bound + 3, segment.origin, inverse, segment.longest);
+            slabs.enter(bound, bound + 3, segment.above, segment.below, inverse, segment.longest);
             float in[TREE_WIDTH];
             Lanes8::store(in, slabs.in);
             int next = -1;
@@ -28,7 +28,7 @@ struct Walk1 {
                     continue;
                 if (count[k] != INNER) {
                     for (int j = link[k]; j < link[k] + count[k]; ++j)
-                        if (query.visit(primitives[j]))
+                        if (Leaf::visit(primitives[j], query))
                             return true;
                     continue;
                 }
@@ -53,7 +53,7 @@ struct Walk1 {
     }
     static inline void walk(const Structure& structure, Query1& query) {
         Segment segment;
-        const int place = segment.place(query.sample(), query.light(), structure.box);
+        const int place = segment.place(query, structure.box);
         if (place == Segment::MISSES || (place == Segment::MEETS && Hints::enough(structure, query)))
             return;
         if (place == Segment::TOO_FAR || !descend(structure, segment, query))

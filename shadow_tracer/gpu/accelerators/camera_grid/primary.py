@@ -24,7 +24,7 @@ from shadow_tracer.gpu.accelerators.camera_grid.rays import Axis, tiles_of
 from shadow_tracer.gpu.accelerators.camera_view import CameraView, pinhole_axes
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.exact.hit import COUNTERS
-from shadow_tracer.gpu.occluders.corners import project_vertex_blocks, project_vertices
+from shadow_tracer.gpu.occluders.corners import project
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.depth_image import Seen, counted, make_counters, make_image, seen_nothing, seen_on
 from shadow_tracer.scene.bounds import Bounds
@@ -35,7 +35,6 @@ _GROUP = 8
 _BLOCK = 2
 _MOST_THREADS = 256
 _FILL_THREADS = 65536
-_VERTICES_AT_ONCE = 256
 _COUNTERS = ("triangles", "degenerate", "entries", "largest_tile", "passes", *COUNTERS)
 
 
@@ -47,7 +46,7 @@ class PrimaryRays:
         bounds: capacities.
         wide: whether to use the CPU's form; None: on the CPU. The answers are the same.
         tile: side of a sorting tile [px]; the CPU's form has 8.
-        scene: the world on the device, if others have it already.
+        scene: the world on the device, ordered, if others have it already.
     """
 
     def __init__(
@@ -63,9 +62,9 @@ class PrimaryRays:
         if self._wide and tile != TILE:
             raise ValueError(f"tile: expected {TILE} for the CPU's form, got {tile}")
         rays, triangles, entries = bounds.max_rays, bounds.max_triangles, bounds.grid_entries
-        self.scene = SceneBuffers(bounds, device) if scene is None else scene
+        self.scene = SceneBuffers(bounds, device, ordered=True) if scene is None else scene
         self._view = CameraView(self.scene, bounds, beyond=tile)
-        self._corners = wp.empty(3 * triangles, dtype=wp.vec4, device=device)
+        self._corners = wp.empty(len(self.scene.vertices), dtype=wp.vec4, device=device)
         self._pairs = wp.empty(entries, dtype=wp.vec2i, device=device)
         self._lists = wp.empty(entries, dtype=int, device=device)
         self._ends = None if self._wide else wp.empty(triangles, dtype=wp.int64, device=device)
@@ -92,8 +91,7 @@ class PrimaryRays:
         self._set_up()
         self._counters.zero_()
         passes = self._passes_in_order(count) if self._wide else self._passes_by_scan(count)
-        degenerate = int(self._view.degenerate.numpy().sum())
-        values = (count, degenerate, *passes, *counted(self._counters).values())
+        values = (count, self._view.unseen(), *passes, *counted(self._counters).values())
         return seen_on(self._image, rays, {"rays": rays, **dict(zip(_COUNTERS, values, strict=True))})
 
     def nbytes(self) -> int:
@@ -135,16 +133,8 @@ class PrimaryRays:
         grid.fx, grid.fy, grid.cx, grid.cy = across.focal, down.focal, across.centre, down.centre
 
     def _set_up(self) -> None:
-        device, scene = self._device, self.scene
         self._view.set_up()
-        vertices = scene.vertex_count
-        if forms.wide(device):
-            blocks = -(-vertices // _VERTICES_AT_ONCE)
-            inputs = [self._view.frame, vertices, scene.vertices, self._corners]
-            wp.launch(project_vertex_blocks, dim=blocks, inputs=inputs, device=device)
-        else:
-            inputs = [self._view.frame, scene.vertices, self._corners]
-            wp.launch(project_vertices, dim=vertices, inputs=inputs, device=device)
+        project(self._view.frame, self.scene.vertices, self._corners, (0, self.scene.vertex_count))
 
     def _passes_in_order(self, count: int) -> tuple[int, int, int]:
         grid, device, starts = self._grid, self._device, self._tile_starts()

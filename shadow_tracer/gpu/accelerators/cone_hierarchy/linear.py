@@ -36,8 +36,7 @@ class LinearHierarchy(Accelerator):
     def aim(self, work: Pass) -> None:
         """Records and corners of the light."""
         with self._context.stages.stage("setup"):
-            if self._context.records.prepare(work.light):
-                self._corners.make(work.light)
+            self._corners.make(work.light, self._context.records.prepare(work.light))
 
     def show(self, work: Pass) -> None:
         """Build the tree of the light's rays and send all triangles through it."""

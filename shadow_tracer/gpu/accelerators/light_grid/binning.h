@@ -19,12 +19,12 @@ struct Binning {
           place(place), emit(emit), number(number), nodes(0) {}
     // Not a member: it is indexed by the axes of faces, and compilers for CUDA put all of an object that has such an
     // array into local memory, with what it refers to.
-    inline void open(Front1& front, int corners_per_light) const {
-        front.corners.gather(occluders.corners.data + (size_t)place * corners_per_light,
+    inline void open(Front1& front) const {
+        front.corners.gather(occluders.corners.data + (size_t)place * occluders.corners_apart,
                              occluders.triangles.data[triangle]);
         front.open(1, tiles.aligned.data[place] != 0);
     }
-    inline int record() const { return place * occluders.count + triangle; }
+    inline int record() const { return place * occluders.records_apart + triangle; }
     // Takes the triangle's side on a face; false if it cannot touch the rays there, or casts nothing.
     inline bool look(const Front1& front, int face) {
         const int group = FACES * place + face;
@@ -89,12 +89,11 @@ struct Binning {
     }
 
     // Makes items of the faces on which the triangle may touch many columns.
-    static inline void itemise(int triangle, int place, int corners_per_light, const LightSpace& space,
-                               const Tiles& tiles, const Occluders& occluders, const Bins& bins,
-                               const Answers& answers) {
+    static inline void itemise(int triangle, int place, const LightSpace& space, const Tiles& tiles,
+                               const Occluders& occluders, const Bins& bins, const Answers& answers) {
         Binning it(triangle, place, 0, 0, space, tiles, occluders, bins, answers);
         Front1 front;
-        it.open(front, corners_per_light);
+        it.open(front);
         int faces_out = 0;
         for (int face = 0; face < FACES; ++face) {
             if (!it.look(front, face))
@@ -123,12 +122,12 @@ struct Binning {
         bins.itemised.data[it.record()] = faces_out;
     }
     // Counts, or with `emit` stores, what did not become items; returns the number of entries.
-    static inline wp::int64 whole(int triangle, int place, int corners_per_light, int emit, wp::int64 before,
-                                  wp::int64 window, const LightSpace& space, const Tiles& tiles,
-                                  const Occluders& occluders, const Bins& bins, const Answers& answers) {
+    static inline wp::int64 whole(int triangle, int place, int emit, wp::int64 before, wp::int64 window,
+                                  const LightSpace& space, const Tiles& tiles, const Occluders& occluders,
+                                  const Bins& bins, const Answers& answers) {
         Binning it(triangle, place, emit, before - window, space, tiles, occluders, bins, answers);
         Front1 front;
-        it.open(front, corners_per_light);
+        it.open(front);
         const int out = bins.itemised.data[it.record()];
         for (int face = 0; face < FACES; ++face) {
             if (out >> face & 1 || !it.look(front, face))
@@ -141,13 +140,12 @@ struct Binning {
         it.report();
         return it.number - (before - window);
     }
-    static inline wp::int64 item(int triangle, int place, int face, int first_column, int last_column,
-                                 int corners_per_light, int emit, wp::int64 before, wp::int64 window,
-                                 const LightSpace& space, const Tiles& tiles, const Occluders& occluders,
-                                 const Bins& bins, const Answers& answers) {
+    static inline wp::int64 item(int triangle, int place, int face, int first_column, int last_column, int emit,
+                                 wp::int64 before, wp::int64 window, const LightSpace& space, const Tiles& tiles,
+                                 const Occluders& occluders, const Bins& bins, const Answers& answers) {
         Binning it(triangle, place, emit, before - window, space, tiles, occluders, bins, answers);
         Front1 front;
-        it.open(front, corners_per_light);
+        it.open(front);
         if (it.look(front, face))
             it.visit(TileGroup(tiles, FACES * place + face), first_column, last_column);
         it.report();

@@ -32,7 +32,6 @@ from shadow_tracer.gpu.device.counters import ENTRIES, LARGEST_TILE, OVERFLOWS, 
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import LightSpace, space_of
-from shadow_tracer.gpu.exact.records import BLOCK
 from shadow_tracer.gpu.visibility.answers import Answers
 
 # Columns of an item, and columns from which on a triangle becomes items.
@@ -46,9 +45,9 @@ class Bins:
     """Lists between triangles and tiles."""
 
     capacity: int  # entries
-    items: wp.array(dtype=wp.vec4i)  # of large triangles: triangle of the pass, face, first and last column
+    items: wp.array(dtype=wp.vec4i)  # of large triangles: record, face, first and last column
     item_count: wp.array(dtype=int)
-    itemised: wp.array(dtype=int)  # of each triangle: faces that became items, as bits
+    itemised: wp.array(dtype=int)  # of each record: faces that became items, as bits
     offsets: wp.array(dtype=wp.int64)  # inclusive sums of entries, by triangle, then by item
     tile: wp.array(dtype=int)  # of each entry
     record: wp.array(dtype=int)
@@ -66,7 +65,6 @@ class Bins:
 def itemise(
     triangle: int,
     place: int,
-    corners_per_light: int,
     space: LightSpace,
     tiles: Tiles,
     occluders: Occluders,
@@ -81,7 +79,6 @@ def itemise(
 def bin_triangle(
     triangle: int,
     place: int,
-    corners_per_light: int,
     emit: int,
     before: wp.int64,
     window: wp.int64,
@@ -102,7 +99,6 @@ def bin_item(
     face: int,
     first_column: int,
     last_column: int,
-    corners_per_light: int,
     emit: int,
     before: wp.int64,
     window: wp.int64,
@@ -118,12 +114,12 @@ def bin_item(
 
 @wp.kernel(enable_backward=False)
 def itemise_triangles(
-    lights: wp.array(dtype=LightFrame), vertices: int, tiles: Tiles, occluders: Occluders, bins: Bins, answers: Answers
+    lights: wp.array(dtype=LightFrame), tiles: Tiles, occluders: Occluders, bins: Bins, answers: Answers
 ):
     """One thread per triangle of each light."""
     i = wp.tid()
     place = i // occluders.count
-    itemise(i - place * occluders.count, place, vertices, space_of(lights[place]), tiles, occluders, bins, answers)
+    itemise(i - place * occluders.count, place, space_of(lights[place]), tiles, occluders, bins, answers)
 
 
 @wp.func
@@ -137,7 +133,6 @@ def before_of(bins: Bins, i: int) -> wp.int64:
 @wp.kernel(enable_backward=False)
 def bin_triangles(
     lights: wp.array(dtype=LightFrame),
-    vertices: int,
     emit: int,
     window: wp.int64,
     tiles: Tiles,
@@ -155,7 +150,7 @@ def bin_triangles(
             return
     space = space_of(lights[place])
     found = bin_triangle(
-        i - place * occluders.count, place, vertices, emit, before, window, space, tiles, occluders, bins, answers
+        i - place * occluders.count, place, emit, before, window, space, tiles, occluders, bins, answers
     )
     if emit == 0:
         bins.offsets[i] = found
@@ -164,7 +159,6 @@ def bin_triangles(
 @wp.kernel(enable_backward=False)
 def bin_items(
     lights: wp.array(dtype=LightFrame),
-    vertices: int,
     emit: int,
     window: wp.int64,
     tiles: Tiles,
@@ -187,15 +181,14 @@ def bin_items(
             return
     if item[3] < item[2]:
         return
-    place = item[0] // occluders.count
+    place = item[0] // occluders.records_apart
     space = space_of(lights[place])
     found = bin_item(
-        item[0] - place * occluders.count,
+        item[0] - place * occluders.records_apart,
         place,
         item[1],
         item[2],
         item[3],
-        vertices,
         emit,
         before,
         window,
@@ -253,14 +246,15 @@ def bin_wide(
     lights: wp.array(dtype=LightFrame),
     clusters: wp.array(dtype=int),
     ends: wp.array(dtype=int),
+    corners_apart: int,
     corners: wp.array(dtype=float),
     tiles: Tiles,
     occluders: Occluders,
     entries: EntryList,
     answers: Answers,
 ):
-    """One thread. ``clusters``, ``ends`` and ``corners`` are those of ``candidates.py``."""
-    blocks = (occluders.count + BLOCK - 1) // BLOCK
+    """One thread. ``clusters``, ``ends`` and ``corners`` are those of ``candidates.py``; corners of a light lie
+    ``corners_apart`` triangles behind those of the one before."""
     first = int(0)
     slots = 16 * tiles.counts[2]
     for k in range(slots):
@@ -271,8 +265,8 @@ def bin_wide(
     for place in range(tiles.lights):
         bin_light(
             place,
-            place * occluders.count,
-            place * blocks * BLOCK,
+            place * occluders.records_apart,
+            place * corners_apart,
             first,
             ends[place],
             clusters,

@@ -34,6 +34,7 @@ from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES, space_of
+from shadow_tracer.gpu.exact.records import BLOCK
 from shadow_tracer.gpu.occluders.clusters import CLUSTER
 from shadow_tracer.gpu.samples.passes import Pass
 
@@ -214,7 +215,8 @@ class BlockGrid:
         frame = self._context.frame
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [frame.lights_from(work.first), self._clusters, self._ends, self._candidates.corners(work)]
+            apart = BLOCK * self._context.records.blocks
+            inputs = [frame.lights_from(work.first), self._clusters, self._ends, apart, self._candidates.corners(work)]
             inputs += [self._buffers.tiles, self._context.occluders(work), self._entries, self._context.answers(work)]
             return 1, inputs
 

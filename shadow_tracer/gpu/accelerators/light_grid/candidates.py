@@ -5,8 +5,8 @@ A robot's camera mostly sees a small part of what the mesh holds. The rays of a 
 the least to the largest (u, v), no farther along the face's axis than the farthest start, and no farther along Z than
 start and light. Whatever occludes one of them has a point in that pyramid, so sixteen triangles whose box lies beyond
 one of its seven planes have nothing to do with them (``clusters.py``). Records are made for 128 triangles together,
-when a share first wants one of them, and kept as long as light and scene stay; shares that work side by side divide
-them.
+when a share first wants one of them, and kept as long as the light stays, and those triangles; shares that work side by
+side divide them.
 
 Planes are float64 in the world. In units of the anchor's scale they are at fault by less than 2^-48 of the sum of
 magnitudes in them; 2^-40 is allowed. What rays contribute is padded as in ``tiles.py``: (u, v) by 2^-20 (1 + |u|),
@@ -33,6 +33,7 @@ from shadow_tracer.gpu.exact.records import (
     prepare_block,
 )
 from shadow_tracer.gpu.occluders.clusters import CLUSTER, ClusterBoxes, Clusters, await_made, claim, make_boxes, publish
+from shadow_tracer.gpu.occluders.slots import blocks
 from shadow_tracer.gpu.samples.passes import Pass
 
 _CLUSTERS = BLOCK // CLUSTER  # of a block of records
@@ -40,15 +41,16 @@ _CLUSTERS = BLOCK // CLUSTER  # of a block of records
 
 @wp.struct
 class Candidates:
-    """What is made on demand, for all lights of a pass: light number ``place`` has its blocks behind those of the
-    others."""
+    """What is made on demand, for all lights of a pass: light number ``place`` has its records ``stride``, and its
+    blocks ``blocks``, behind those of the one before."""
 
     cull: int
+    stride: int
+    blocks: int
     records: wp.array2d(dtype=wp.vec4)
     corners: wp.array(dtype=float)  # see prepare_block
     made: wp.array(dtype=int)  # of each block
-    degenerate: wp.array(dtype=int)  # 64 for each place
-    culled: wp.array(dtype=int)
+    silent: wp.array(dtype=wp.vec2i)  # see prepare_block
 
 
 @native.func_native("accelerators/light_grid/candidates.h", calls="Candidates16::list", otherwise="return 0;")
@@ -98,9 +100,9 @@ def make_block(
     candidates: Candidates,
 ):
     """Records and corners of a block of triangles for the light at ``place``, unless they are made or being made."""
-    blocks = (count + BLOCK - 1) // BLOCK
     first = block * BLOCK
-    if claim(candidates.made, place * blocks + block) != 0:
+    row = place * candidates.blocks + block
+    if claim(candidates.made, row) != 0:
         prepare_block(
             first,
             count,
@@ -113,16 +115,15 @@ def make_block(
             wp.float64(LARGEST_OFFSET),
             vertices,
             triangles,
-            place * count + first,
+            place * candidates.stride + first,
             candidates.records,
-            place * blocks * BLOCK + first,
+            row * BLOCK,
             candidates.corners,
             candidates.cull,
-            64 * place,
-            candidates.degenerate,
-            candidates.culled,
+            row,
+            candidates.silent,
         )
-        publish(candidates.made, place * blocks + block)
+        publish(candidates.made, row)
 
 
 @wp.kernel(enable_backward=False)
@@ -145,7 +146,6 @@ def find_candidates(
     everything = int(0)
     if wild[1] > 0:
         everything = 1
-    blocks = (clusters.triangles + BLOCK - 1) // BLOCK
     first = int(0)
     for place in range(tiles.lights):
         end = list_clusters(place, first, everything, lights[place], tiles, clusters, found)
@@ -157,7 +157,7 @@ def find_candidates(
                 make_block(place, block, clusters.triangles, lights[place], vertices, triangles, candidates)
             last = block
         for k in range(first, end):
-            await_made(candidates.made, place * blocks + found[k] // _CLUSTERS)
+            await_made(candidates.made, place * candidates.blocks + found[k] // _CLUSTERS)
         first = end
 
 
@@ -178,31 +178,29 @@ class CandidateRecords:
         self._boxes.follow()
 
     def open(self, light: LightFrame) -> None:
-        """Nothing is made yet for this light, unless what was made is still right."""
-        if self._records.begin(light):
-            blocks = self._blocks()
-            self._slices(self._made, self._records.place(light.number) * blocks, blocks).zero_()
-            for silent in self._records.silent_of(light.number):
-                silent.zero_()
+        """Nothing is made yet for this light of what is not right any more."""
+        stale, records = self._records.begin(light), self._records
+        for first, last in blocks(stale.triangles, BLOCK, self._scene.triangle_count):
+            self._slices(self._made, records.place(light.number) * records.blocks + first, last - first).zero_()
+            self._slices(records.silent_of(light.number), first, last - first).zero_()
 
     def corners(self, work: Pass) -> wp.array:
         """Corners for the lights of a pass, light after light, each on a multiple of ``BLOCK`` triangles."""
-        size = 12 * BLOCK * self._blocks()
+        size = 12 * BLOCK * self._records.blocks
         return self._slices(self._corners, self._records.place(work.first) * size, len(work.lights) * size)
 
     def structs(self, work: Pass) -> tuple[Clusters, Candidates]:
         """As kernels see them, for the lights of a pass."""
-        place, lights, blocks = self._records.place(work.first), len(work.lights), self._blocks()
+        records, lights = self._records, len(work.lights)
         candidates = Candidates()
-        candidates.cull = int(self._records.front_face_culling)
-        candidates.records = self._records.of(work.first, lights)
+        candidates.cull = int(records.front_face_culling)
+        candidates.stride, candidates.blocks = records.stride, records.blocks
+        candidates.records = records.of(work.first, lights)
         candidates.corners = self.corners(work)
-        candidates.made = self._slices(self._made, place * blocks, lights * blocks)
-        candidates.degenerate, candidates.culled = self._records.silent_of(work.first, lights)
+        first = records.place(work.first) * records.blocks
+        candidates.made = self._slices(self._made, first, lights * records.blocks)
+        candidates.silent = records.silent_of(work.first, lights)
         return self._boxes.clusters(), candidates
-
-    def _blocks(self) -> int:
-        return -(-self._scene.triangle_count // BLOCK)
 
     def nbytes(self) -> int:
         """Bytes on the device, records aside."""

@@ -47,7 +47,7 @@ struct Entries {
             const unsigned yes = ((low ? yes_low : 0) | (high ? (unsigned)yes_high << 16 : 0)) & found;
             const int* order = TileMemory::order(tiles, tile);
             for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
-                if (Settle::pair(answers, order[__builtin_ctz(maybe)], records[k] % occluders.count))
+                if (Settle::pair(answers, order[__builtin_ctz(maybe)], records[k] % occluders.records_apart))
                     live &= ~(maybe & -maybe);
             shadow(tile, yes);
             live &= ~yes;

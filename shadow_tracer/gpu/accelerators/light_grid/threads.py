@@ -62,8 +62,7 @@ class ThreadGrid:
         pass
 
     def prepare(self, light: LightFrame) -> None:
-        if self._context.records.prepare(light):
-            self._corners.make(light)
+        self._corners.make(light, self._context.records.prepare(light))
 
     def choose(self, work: Pass) -> None:
         """All triangles may concern some ray."""
@@ -77,6 +76,7 @@ class ThreadGrid:
         """The triangles of a pass."""
         occluders = self._context.occluders(work)
         occluders.corners = self._corners.of(work.first, len(work.lights))
+        occluders.corners_apart = self._corners.stride
         return occluders
 
     def trace(self, work: Pass) -> None:
@@ -108,10 +108,10 @@ class ThreadGrid:
 
     def _bin(self, work: Pass, emit: int, part: int) -> None:
         frame, bins, (triangles, units) = self._context.frame, self._bins, self._units(work)
-        window, vertices = wp.int64(part * bins.capacity), self._context.scene.vertex_count
+        window = wp.int64(part * bins.capacity)
         given = (self._buffers.tiles, self.occluders(work), bins, self._context.answers(work))
         for kernel, dim in ((binning.bin_triangles, triangles), (binning.bin_items, units - triangles)):
-            self._run(kernel, dim, frame.lights_from(work.first), vertices, emit, window, *given)
+            self._run(kernel, dim, frame.lights_from(work.first), emit, window, *given)
 
     def _count(self, work: Pass) -> None:
         """Number the entries, and store the rays of covered tiles."""
@@ -119,8 +119,7 @@ class ThreadGrid:
         tiles, answers = self._buffers.tiles, self._context.answers(work)
         bins.item_count.zero_()
         given = (tiles, self.occluders(work), bins, answers)
-        vertices = self._context.scene.vertex_count
-        self._run(binning.itemise_triangles, triangles, frame.lights_from(work.first), vertices, *given)
+        self._run(binning.itemise_triangles, triangles, frame.lights_from(work.first), *given)
         self._bin(work, 0, 0)
         offsets = self._slices(bins.offsets, 0, units)
         wp.utils.array_scan(offsets, offsets, inclusive=True)

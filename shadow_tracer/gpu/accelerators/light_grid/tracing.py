@@ -105,7 +105,7 @@ def trace_chunks(warps: int, tile_places: int, tiles: Tiles, occluders: Occluder
                 answer = filter_pair(ray, magnitude, occluders.records, record)
                 tests += 1
                 k += 1
-                if answer != NO and settle(sample, record % occluders.count, answer, answers):
+                if answer != NO and settle(sample, record % occluders.records_apart, answer, answers):
                     k = end
     if tests > 0:
         wp.atomic_add(answers.counters, thread & 63, LEAF_TESTS, wp.int64(tests))

@@ -93,8 +93,7 @@ class PaperHierarchy(Accelerator):
     def aim(self, work: Pass) -> None:
         """Records and corners of the light."""
         with self._context.stages.stage("setup"):
-            if self._context.records.prepare(work.light):
-                self._corners.make(work.light)
+            self._corners.make(work.light, self._context.records.prepare(work.light))
 
     def show(self, work: Pass) -> None:
         """Make the tree over the rays of the light and send the triangles through it."""

@@ -112,8 +112,7 @@ class SphericalGrid(Accelerator):
     def aim(self, work: Pass) -> None:
         """Records and corners of the light."""
         with self._context.stages.stage("setup"):
-            if self._context.records.prepare(work.light):
-                self._corners.make(work.light)
+            self._corners.make(work.light, self._context.records.prepare(work.light))
 
     def show(self, work: Pass) -> None:
         """Sort rays and triangles into the grid and test what meets there."""

@@ -6,7 +6,7 @@ struct Walk1 {
 
     static inline void walk(const Structure& structure, Query1& query) {
         Segment segment;
-        const int place = segment.place(query.sample(), query.light(), structure.box);
+        const int place = segment.place(query, structure.box);
         if (place == Segment::MISSES)
             return;
         if (place == Segment::TOO_FAR) {

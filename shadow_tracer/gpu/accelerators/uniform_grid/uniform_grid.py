@@ -22,7 +22,7 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.segment import SceneBox, scene_box, triangle_boxes
+from shadow_tracer.gpu.accelerators.segment import OUTSIDE, SceneBox, scene_box, triangle_boxes
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.scene.checks import FloatArray
 
@@ -75,7 +75,7 @@ def shape_of(box: SceneBox, finest: wp.vec3i, level: int) -> Shape:
 
 @wp.func
 def cells_of(shape: Shape, lower: wp.vec3, upper: wp.vec3) -> Cells:
-    """The cells that a box touches."""
+    """The cells that a box touches; none if it is one that holds nothing."""
     cells = Cells()
     for k in range(3):
         low = wp.float64(shape.low[k])
@@ -83,6 +83,8 @@ def cells_of(shape: Shape, lower: wp.vec3, upper: wp.vec3) -> Cells:
         last = wp.float64(shape.count[k] - 1)
         cells.first[k] = int(wp.clamp(wp.floor((wp.float64(lower[k]) - low) / size), wp.float64(0.0), last))
         cells.last[k] = int(wp.clamp(wp.floor((wp.float64(upper[k]) - low) / size), wp.float64(0.0), last))
+    if lower[0] >= OUTSIDE:
+        cells.last[0] = cells.first[0] - 1
     return cells
 
 
@@ -174,7 +176,7 @@ class UniformGrid(Walker):
         begins, start = self._begins[:used], grid.start[:used]
         self._needed.zero_()
         begins.zero_()
-        inputs = [grid.box, scene.vertices, scene.triangles, *boxes]
+        inputs = [0, count, grid.box, scene.vertices, scene.triangles, *boxes]
         wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
         inputs = [grid.box, finest, *boxes, self._needed]
         wp.launch(count_memberships, dim=(int(_LEVELS), count), inputs=inputs, device=device)

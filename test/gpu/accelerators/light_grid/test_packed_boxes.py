@@ -35,7 +35,7 @@ _ABSENT, _BESIDE, _UNTOUCHED, _MISSED, _MET, _COVERED = range(6)
 _SCALAR = """
     Binning it(triangle, box[2] / 6, 0, 0, space, tiles, occluders, bins, answers);
     Front1 front;
-    it.open(front, vertices);
+    it.open(front);
     if (!it.look(front, box[2] % 6))
         return 0;
     int from, to;
@@ -64,7 +64,8 @@ _WIDE = """
     if (!(front.bound(face, tiles.fit.data[box[2]], space.inverse != 0, seen) >> lane & 1))
         return 0;
     Planes16 planes;
-    planes.take((const float*)occluders.records.data + 16 * (size_t)(place * occluders.count + first), count, space);
+    const size_t record = place * occluders.records_apart + first;
+    planes.take((const float*)occluders.records.data + 16 * record, count, space);
     if (planes.silent >> lane & 1)
         return 0;
     Side16 side;
@@ -88,7 +89,6 @@ _WIDE = """
 def judge(
     triangle: int,
     box: wp.vec4i,
-    vertices: int,
     space: LightSpace,
     tiles: Tiles,
     occluders: Occluders,
@@ -117,7 +117,6 @@ def judge_wide(
 @wp.kernel(enable_backward=False)
 def judge_all(
     boxes: wp.array(dtype=wp.vec4i),
-    vertices: int,
     space: LightSpace,
     tiles: Tiles,
     occluders: Occluders,
@@ -126,7 +125,7 @@ def judge_all(
     out: wp.array2d(dtype=int),
 ):
     number, triangle = wp.tid()
-    out[number, triangle] = judge(triangle, boxes[number], vertices, space, tiles, occluders, bins, answers)
+    out[number, triangle] = judge(triangle, boxes[number], space, tiles, occluders, bins, answers)
 
 
 @wp.kernel(enable_backward=False)
@@ -215,7 +214,7 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
         )
         out = wp.empty((len(rows), count), dtype=int, device=tracer.device)
         inputs = [wp.array(rows, dtype=wp.vec4i, device=tracer.device)]
-        inputs += [way._clusters, way._ends, way._candidates.corners(work)] if wide else [3 * count]
+        inputs += [way._clusters, way._ends, way._candidates.corners(work)] if wide else []
         inputs += [space, tiles, occluders, *([] if wide else [way._bins, answers]), out]
         wp.launch(judge_all_wide if wide else judge_all, dim=out.shape, inputs=inputs, device=tracer.device)
         index = np.searchsorted(boxes.number, places[position[tile]])

@@ -272,9 +272,9 @@ def test_lights_that_stay_keep_their_triangles(monkeypatch: Any, any_device: str
     calls: list[Any] = []
     begin = records.TriangleRecords.begin
 
-    def counted(self: Any, frame: Any) -> bool:
+    def counted(self: Any, frame: Any) -> Any:
         made = begin(self, frame)
-        calls.extend([1] * made)
+        calls.extend([1] * bool(made))
         return made
 
     monkeypatch.setattr(records.TriangleRecords, "begin", counted)

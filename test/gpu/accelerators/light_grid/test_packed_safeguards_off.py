@@ -41,12 +41,12 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "boxes kept when the scene changes": (
         _CANDIDATES,
         "only_what",
-        [("occluders/clusters.py", "self._made_for != self._scene.revision:", "self._made_for is None:")],
+        [("occluders/clusters.py", "blocks(changed.triangles, CLUSTER * _BOXES, scene.triangle_count)", "()")],
     ),
     "records kept when the light moves": (
         _CANDIDATES,
         "only_what",
-        [(_GRID + "candidates.py", "if self._records.begin(light):", "if not self._made.numpy().any():")],
+        [(_GRID + "candidates.py", "blocks(stale.triangles, BLOCK, self._scene.triangle_count)", "()")],
     ),
     "boxes without pads": (
         _TILES,

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The query *mask*: all points of a sphere light in one walk, against the same points as hard lights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import geometry
+import numpy as np
+import probe
+import pytest
+
+from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer, SphereLight, State
+
+pytestmark = probe.in_both_forms
+
+_BOUNDS = {"max_triangles": 3000, "max_rays": 6000, "max_lights": 8}
+_CAMERA = Camera(40, 30, 35.0, 36.0, 19.25, 14.75)
+_WALKERS = ["mesh_bvh/refit", "mesh_bvh/binary", "brute_force/filtered"]
+
+
+def _tracer(names: str, device: str, **more: Any) -> ShadowTracer:
+    return ShadowTracer(*names.split("/"), device=device, bounds=Bounds(**_BOUNDS), **more)
+
+
+def _depth(seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(2.0, 4.5, (30, 40)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.05] = np.nan
+    return depth
+
+
+_MESHES: dict[str, geometry.Geometry] = {
+    "ball": geometry.icosphere(2, 0.6, (0.0, 0.0, 2.0)),
+    "soup": geometry.soup(np.random.default_rng(2), 300, 0.4, 2.5),
+    "integers": geometry.integer_soup(np.random.default_rng(3), 200),
+    "slivers": geometry.slivers(np.random.default_rng(4), 200),
+    "walls": geometry.join([geometry.square(axis, 1.0, 2.0) for axis in range(3)]),
+}
+_LIGHTS = {
+    "beside": SphereLight("s", (0.25, -1.0, 0.5), 0.25, samples=64),
+    "within": SphereLight("s", (0.0, 0.0, 2.0), 0.5, samples=33),
+    "wide": SphereLight("s", (0.5, 0.5, 1.0), 30.0, samples=130),
+    "tiny": SphereLight("s", (1.0, 1.0, 1.0), 1e-9, samples=2),
+    "short": SphereLight("s", (0.25, -1.0, 2.5), 0.75, range=1.5, samples=65),
+}
+
+
+def _hard(tracer: ShadowTracer, sphere: SphereLight, depth: np.ndarray, bias: Bias) -> np.ndarray:
+    """How many points reach each pixel: one frame for each, without a reach."""
+    lit = [
+        tracer.trace(depth, _CAMERA, [PointLight("point", point)], bias).state("point") == 0 for point in sphere.points
+    ]
+    count: np.ndarray = np.sum(lit, axis=0)
+    return count
+
+
+@pytest.mark.parametrize("names", _WALKERS)
+@pytest.mark.parametrize("light", _LIGHTS)
+@pytest.mark.parametrize("mesh", _MESHES)
+def test_the_same_points_reach_as_hard_lights(any_device: str, mesh: str, light: str, names: str) -> None:
+    tracer, oracle = _tracer(names, any_device), _tracer("brute_force/float64", any_device)
+    sphere, depth = _LIGHTS[light], _depth()
+    for each in (tracer, oracle):
+        each.scene.put("mesh", *_MESHES[mesh])
+    for bias in (Bias(0.0), Bias(0.02)):
+        frame = tracer.trace(depth, _CAMERA, [sphere], bias)
+        shines = ~np.isin(frame.state("s"), (State.OUTSIDE, State.INVALID))
+        reached = np.rint(frame.visibility("s") * sphere.samples)
+        expected = _hard(oracle, sphere, depth, bias)
+        assert np.array_equal(reached[shines], expected[shines])
+        assert shines.sum() > 100
+
+
+@pytest.mark.parametrize("names", _WALKERS)
+@pytest.mark.parametrize("cull", [False, True])
+def test_sequences_of_unlike_frames(any_device: str, names: str, cull: bool) -> None:
+    """Meshes, lights, biases and culling change; a hard light before and behind; points in between."""
+    tracer = _tracer(names, any_device, front_face_culling=cull)
+    oracle = _tracer("light_grid/packed", any_device, front_face_culling=cull)
+    rng = np.random.default_rng(5)
+    lamps = [PointLight("before", (0.1, -2.0, 0.3)), PointLight("behind", (2.0, 0.0, 1.0), 2.5)]
+    for step in range(8):
+        sphere = list(_LIGHTS.values())[step % len(_LIGHTS)]
+        lights = [lamps[0], sphere, lamps[1]] if step % 2 else [sphere]
+        bias, depth = Bias(0.03 * (step % 3)), _depth(step)
+        points = rng.uniform(-2, 4, (50 + 300 * step, 3))
+        frames, states = [], []
+        for each in (tracer, oracle):
+            if step == 4:
+                each.scene.clear()
+            else:
+                each.scene.put("mesh", *list(_MESHES.values())[step % len(_MESHES)])
+            frames.append(each.trace(depth, _CAMERA, lights, bias))
+            states.append(each.states_at(points, lights, 0.01))
+        for light in lights:
+            one, other = (frame.visibility(light.name) for frame in frames)
+            assert np.array_equal(one, other, equal_nan=True), step
+            assert np.array_equal(frames[0].state(light.name), frames[1].state(light.name)), step
+        assert np.array_equal(*states), step
+
+
+@pytest.mark.parametrize("names", _WALKERS)
+def test_points_on_samples_edges_and_corners(any_device: str, names: str) -> None:
+    """Samples that are points of the light, corners of triangles, far away or in the middle of the light."""
+    tracer, oracle = _tracer(names, any_device), _tracer("light_grid/packed", any_device)
+    vertices, triangles = _MESHES["ball"]
+    vertices = np.concatenate([vertices, [(np.nan, 0, 0), (0, 0, 1), (1, 0, 1)]])
+    triangles = np.concatenate([triangles, [(len(vertices) - 3, len(vertices) - 2, len(vertices) - 1)], [(0, 0, 1)]])
+    sphere = SphereLight("s", (0.25, -0.5, 1.0), 0.75, samples=70)
+    far = 10.0 ** np.arange(1, 16, 2)[:, None] * np.array([(1.0, 2.0, 3.0)])
+    points = np.concatenate([sphere.points, vertices[:-3], [sphere.position], far, -far])
+    for each in (tracer, oracle):
+        each.scene.put("mesh", vertices, triangles, nonfinite="skip")
+    for bias in (0.0, 0.5, 5.0):
+        assert np.array_equal(tracer.states_at(points, [sphere], bias), oracle.states_at(points, [sphere], bias))
+
+
+def test_one_walk_for_all_points(any_device: str) -> None:
+    """Nodes visited for 64 points: a little more than for one, not 64 times as many."""
+    tracer = _tracer("mesh_bvh/refit", any_device)
+    tracer.scene.put("mesh", *_MESHES["soup"])
+    one = tracer.trace(_depth(), _CAMERA, [PointLight("p", (0.25, -1.0, 0.5))]).counters["nodes_visited"]
+    all_points = tracer.trace(_depth(), _CAMERA, [_LIGHTS["beside"]]).counters["nodes_visited"]
+    assert one < all_points < 6 * one
