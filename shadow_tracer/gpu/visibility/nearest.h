@@ -25,6 +25,7 @@ struct Nearest : Hit {
         x = (float)across();
         y = -(float)down();
         magnitude = fabsf(x) + fabsf(y) + 2.0f;
+        tests = 0;
         best = before;
         low = high = -(float)HUGE_VAL;
         if (before < 0)

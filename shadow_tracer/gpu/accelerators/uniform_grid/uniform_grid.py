@@ -24,6 +24,7 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.segment import OUTSIDE, SceneBox, scene_box, triangle_boxes
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
 from shadow_tracer.scene.checks import FloatArray
 
 _CELLS_PER_TRIANGLE = 2
@@ -148,7 +149,7 @@ def enter_cells(
 class UniformGrid(Walker):
     """The ``uniform_grid`` pipeline."""
 
-    walk = Walk("accelerators/uniform_grid/cells.h", Structure)
+    walk = Walk("accelerators/uniform_grid/cells.h", Structure, queries=(ANY_HIT, CLOSEST))
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
