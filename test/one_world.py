@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One scene on a device, and everybody who finds the closest hits of a camera's pixels there: the camera's own grid, and
-all walkers."""
+"""One scene on a device, and whoever finds the closest hits of a camera's pixels there: the camera's own grid, and all
+walkers."""
 
 from __future__ import annotations
 
