@@ -160,12 +160,12 @@ def test_scenes_of_no_triangle_and_of_one(world: OneWorld) -> None:
     assert (world.check(scene, camera) == -1).all()
 
 
-@pytest.mark.parametrize("away", [1e3, 1e7, 6.6e7, 6.8e7, 1e9, 1e14])
+@pytest.mark.parametrize("away", [1e3, 1e7, 6.6e7, 6.8e7, 1e9, 1e15])
 def test_far_away(world: OneWorld, away: float) -> None:
     """Beyond 2^26 times the size of the scene rays are shown every triangle."""
-    scene = _scene(geometry.soup(generator(1), 1200, 0.03, 1.0))
-    camera = look(32, 32, (0.36 * away, 0.48 * away, 0.8 * away), (0, 0, 0), 0.4 * away)
-    assert 0.02 < (world.check(scene, camera) >= 0).mean() < 0.9
+    scene = _scene(geometry.soup(generator(1), 300, 0.06, 1.0))
+    camera = look(16, 16, (0.36 * away, 0.48 * away, 0.8 * away), (0, 0, 0), 0.4 * away)
+    assert 0.05 < (world.check(scene, camera) >= 0).mean() < 0.95
 
 
 def test_edge_on_but_for_rounding(world: OneWorld) -> None:
