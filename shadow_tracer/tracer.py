@@ -8,7 +8,7 @@ imported when a tracer is made, not before.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,15 +18,13 @@ from shadow_tracer.gpu.accelerators.registry import AUTO, available_pipelines, r
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import LARGEST, BoundsError, positions_of, unmasked_depth, valid_points
-from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
+from shadow_tracer.scene.checks import positions_of, valid_points
+from shadow_tracer.scene.frame_checks import Lights, check_frame, check_lights, check_points
+from shadow_tracer.scene.lights import Light, PointLight, SphereLight
 from shadow_tracer.scene.mesh import Scene
 from shadow_tracer.visibility import Frame, State
 
-_HARD = (PointLight, SpotLight, DirectionalLight)
-_LIGHTS = (*_HARD, SphereLight)
-Lights = tuple[Light, ...]
-_SECONDS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobody is named
+_VERIFIERS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobody is named
 
 
 class ShadowTracer:
@@ -79,7 +77,8 @@ class ShadowTracer:
         elif isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or not 1 <= threads <= 64:
             raise ValueError(f"threads: expected an integer from 1 to 64, or None, got {threads!r}")
         self._engine = engine.Engine(devices.pick_device(device), self._bounds, *names, graphs, int(threads))
-        self._last: tuple[tuple[Any, ...], Frame] | None = None  # what was traced last, and the answer
+        # Of each set of samples what was traced last, and the answer.
+        self._last: dict[str, tuple[tuple[Any, ...], Frame]] = {}
         self.front_face_culling = front_face_culling
         self.scene = Scene(self._bounds)
         """The world; change it through its methods between frames."""
@@ -125,13 +124,13 @@ class ShadowTracer:
         however noisy its depth. A surface turned away from the light needs a bias of nearly zero then, for it is lit
         where the bias carries a sample to the inside. Through anything not closed, light passes from the front.
         """
-        return self._engine.front_face_culling
+        return self._culling
 
     @front_face_culling.setter
     def front_face_culling(self, value: bool) -> None:
         if not isinstance(value, (bool, np.bool_)):
             raise ValueError(f"front_face_culling: expected True or False, got {value!r}")
-        self._engine.front_face_culling = bool(value)
+        self._culling = bool(value)
 
     @property
     def device_bytes(self) -> int:
@@ -146,7 +145,7 @@ class ShadowTracer:
         """
         names = resolve(pipeline, variant)
         if names != self._engine.names:
-            self._last = None
+            self._last.clear()
             self._engine.select(*names)
 
     def warm_up(self) -> float:
@@ -165,55 +164,55 @@ class ShadowTracer:
             self._engine.calibrate()
         return time.perf_counter() - begin
 
-    def _trace_triangle(self, second: bool = False) -> None:
-        self._last = None
+    def _trace_triangle(self, verify: bool = False) -> None:
+        self._last.clear()
         scene = Scene(self._bounds)
         scene.put("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1)], [(0, 1, 2)])
         camera = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
         light = PointLight("lamp", (0.0, 0.0, 0.0))
         for depth in (np.full((1, 1), 2.0, np.float32), np.full((1, 1), 2000, np.uint16)):
             for bias in (Bias(0.0), Bias(0.0, normal=1.0)):
-                self._engine.trace_depth(scene, depth, camera, [light], bias, second)
+                self._engine.trace_depth(scene, depth, camera, [light], bias, verify=verify)
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
-        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, second=second)
+        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, verify=verify)
 
-    def occluded(self, points: Any, light: Light, bias: float = 0.0) -> npt.NDArray[np.bool_]:
+    @property
+    def sample_sets(self) -> tuple[str, ...]:
+        """Names of the sets of samples in use, at most ``bounds.max_sample_sets``."""
+        return self._engine.sets
+
+    def release_samples(self, samples: str) -> None:
+        """Let another name have the buffers of a set of samples; nothing happens if there is none of that name."""
+        self._last.pop(samples, None)
+        self._engine.release_samples(samples)
+
+    def occluded(self, points: Any, light: Light, bias: float = 0.0, samples: str = "") -> npt.NDArray[np.bool_]:
         """Whether each point is in the shadow of ``light``.
 
         Args:
             points: (..., 3) positions in the world [m], finite; any leading shape, also none.
             light: a point, spot or directional light. Points outside its cone or range are not in its shadow.
             bias: distance from the point towards the light at which occluders begin to count [m].
+            samples: as for :meth:`trace`.
 
         Returns:
             Boolean array of the leading shape.
 
         Raises:
             ValueError: wrong shape, a value that is not finite (its index is named), or not a light.
+            BoundsError: no set of samples is free.
         """
-        positions, flat = positions_of(points)
-        valid = valid_points(flat)
-        if valid is not None:
-            bad = int(np.flatnonzero(~valid)[0])
-            where = tuple(int(k) for k in np.unravel_index(bad, positions.shape[:-1]))
-            raise ValueError(
-                f"points: expected finite positions of at most {LARGEST:g}, got {flat[bad].tolist()} at index {where} "
-                f"and {int((~valid).sum())} such points in all; select the finite ones first"
-            )
-        if not isinstance(light, _HARD):
-            hint = "; states_at says where none, some or all of it reaches" if isinstance(light, SphereLight) else ""
-            got = type(light).__name__
-            raise ValueError(f"light: expected a PointLight, SpotLight or DirectionalLight, got {got}{hint}")
+        positions, flat = check_points(points, light)
         constant = Bias(constant=bias).constant
         hidden = np.empty(len(flat), dtype=np.bool_)
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
-            hidden[piece] = (
-                self._engine.trace_points(self.scene, flat[piece], [light], constant).states[0] == State.SHADOWED
-            )
+            hidden[piece] = self._trace_points(flat[piece], [light], constant, None, samples)[0] == State.SHADOWED
         return hidden.reshape(positions.shape[:-1])
 
-    def states_at(self, points: Any, lights: Iterable[Light], bias: float = 0.0) -> npt.NDArray[np.uint8]:
+    def states_at(
+        self, points: Any, lights: Iterable[Light], bias: float = 0.0, samples: str = ""
+    ) -> npt.NDArray[np.uint8]:
         """What is known about each point and light: what :meth:`trace` says of pixels.
 
         Args:
@@ -221,16 +220,17 @@ class ShadowTracer:
                 not finite, beyond 1e50 or masked, are INVALID.
             lights: any iterable of at least one light, with different names.
             bias: distance from the point towards the light at which occluders begin to count [m].
+            samples: as for :meth:`trace`.
 
         Returns:
             (L, ...) uint8 array of :class:`State` values: light after light, each of the leading shape.
 
         Raises:
             ValueError: an argument is malformed; the message names it.
-            BoundsError: more lights than declared.
+            BoundsError: more lights than declared, or no set of samples is free.
         """
         positions, flat = positions_of(points)
-        checked = self._check_lights(lights)
+        checked = check_lights(self._bounds, lights)
         constant = Bias(constant=bias).constant
         valid = valid_points(flat)
         if valid is not None:
@@ -239,11 +239,28 @@ class ShadowTracer:
         for begin in range(0, len(flat), self._bounds.max_rays):
             piece = slice(begin, begin + self._bounds.max_rays)
             some = None if valid is None else valid[piece]
-            traced = self._engine.trace_points(self.scene, flat[piece], checked, constant, some)
-            states[:, piece] = traced.states
+            states[:, piece] = self._trace_points(flat[piece], checked, constant, some, samples)
         return states.reshape(len(checked), *positions.shape[:-1])
 
-    def trace(self, depth: Any, camera: Camera, lights: Iterable[Light], bias: Bias | float | None = None) -> Frame:
+    def _trace_points(
+        self,
+        points: npt.NDArray[np.float64],
+        lights: Sequence[Light],
+        bias: float,
+        valid: npt.NDArray[np.bool_] | None,
+        samples: str,
+    ) -> npt.NDArray[np.uint8]:
+        found = self._engine.trace_points(self.scene, points, lights, bias, valid, self._culling, samples=samples)
+        return found.states
+
+    def trace(
+        self,
+        depth: Any,
+        camera: Camera,
+        lights: Iterable[Light],
+        bias: Bias | float | None = None,
+        samples: str = "",
+    ) -> Frame:
         """Which pixels does each light reach?
 
         Args:
@@ -252,15 +269,18 @@ class ShadowTracer:
             camera: intrinsics and pose; its size must be that of ``depth``.
             lights: any iterable of at least one light, with different names.
             bias: where rays start; a number is a constant in metres, None is ``Bias()``, a centimetre.
+            samples: name of the set of samples, which keeps from frame to frame what can be used again (rays, where
+                the image is cut between cores, the anchor of float32 numbers): with one each, two cameras in turn do
+                not disturb each other. A new name takes a free set; ``bounds.max_sample_sets`` says how many there are.
 
         Returns:
             A :class:`Frame`; its arrays stay valid after further calls.
 
         Raises:
             ValueError: an argument is malformed; the message names it.
-            BoundsError: the image or the number of lights exceeds the declared bounds.
+            BoundsError: the image or the number of lights exceeds the declared bounds, or no set of samples is free.
         """
-        return self._trace_anew(*self._check_frame(depth, camera, lights, bias))
+        return self._trace_anew(samples, *check_frame(self._bounds, depth, camera, lights, bias))
 
     def verify(
         self,
@@ -269,6 +289,7 @@ class ShadowTracer:
         lights: Iterable[Light],
         bias: Bias | float | None = None,
         against: str | None = None,
+        samples: str = "",
     ) -> int:
         """In how many (pixel, light) pairs the answer differs from that of a second, different pipeline; 0 is right.
 
@@ -277,18 +298,19 @@ class ShadowTracer:
         since; then this costs one trace by the second pipeline. Else the frame is traced by the tracer's own pipeline
         first, as :meth:`trace` would.
 
-        The second pipeline is given the image, the camera and the lights once more, makes its own rays and triangle
-        records and keeps its own search structure. It shares the copy of the scene on the device, and the arithmetic
-        of a single sample and triangle: what it cannot notice is damage to these.
+        The second pipeline is given the image, the camera and the lights once more, and has separate buffers for
+        samples, rays, triangle records and its search structure. It shares the copy of the scene on the device, and the
+        arithmetic of a single sample and triangle: what it cannot notice is damage to these. After a difference,
+        nothing that the set of samples has kept is used again.
 
         The first call, or :meth:`prepare_verify`, allocates its buffers; they are kept until :meth:`release_verify` or
-        until :meth:`select` chooses that pipeline. Right after it, :meth:`trace` sets up its triangles again.
+        until :meth:`select` chooses that pipeline.
 
         Args:
-            depth, camera, lights, bias: as for :meth:`trace`.
+            depth, camera, lights, bias, samples: as for :meth:`trace`.
             against: the second pipeline, in its default variant; another one than in use, and none of those that auto
-                chooses among where that is in use: it may be in office. None is the one prepared, or the first of
-                mesh_bvh, light_grid and cone_hierarchy that this leaves.
+                chooses among where that is in use: it may be the one that traces. None is the one prepared, or the
+                first of mesh_bvh, light_grid and cone_hierarchy that this leaves.
 
         Returns:
             Number of pairs, at most H * W * len(lights).
@@ -297,13 +319,17 @@ class ShadowTracer:
             ValueError: an argument is malformed; the message names it.
             BoundsError: the image or the number of lights exceeds the declared bounds.
         """
-        what = self._check_frame(depth, camera, lights, bias)
-        self._employ(against)
-        if self._last is not None and self._last[0] == self._key(*what) and self._engine.holds(what[0]):
-            answer = self._last[1]
+        what = check_frame(self._bounds, depth, camera, lights, bias)
+        self._prepare_verifier(against)
+        last = self._last.get(samples)
+        if last is not None and last[0] == self._key(*what) and self._engine.holds(what[0], samples):
+            answer = last[1]
         else:
-            answer = self._trace_anew(*what)
-        return answer.differing(self._trace(*what, second=True))
+            answer = self._trace_anew(samples, *what)
+        wrong = answer.differing(self._trace(samples, *what, verify=True))
+        if wrong:
+            self._engine.forget(samples)
+        return wrong
 
     def prepare_verify(self, against: str | None = None) -> float:
         """Allocate the buffers of :meth:`verify`'s second pipeline and compile or load its kernels, so that no frame
@@ -313,39 +339,46 @@ class ShadowTracer:
             ValueError: ``against`` is not another pipeline than the one in use.
         """
         begin = time.perf_counter()
-        self._employ(against)
-        self._trace_triangle(second=True)
+        self._prepare_verifier(against)
+        self._trace_triangle(verify=True)
         return time.perf_counter() - begin
 
     def release_verify(self) -> None:
         """Free the buffers of :meth:`verify`'s second pipeline, if there are any."""
-        self._engine.release_second()
+        self._engine.release_verifier()
 
-    def _employ(self, against: str | None) -> None:
+    def _prepare_verifier(self, against: str | None) -> None:
         others = [name for name in available_pipelines() if name != AUTO and name not in self._engine.pipelines]
         if against is None:
-            against = self._engine.second or next(name for name in _SECONDS if name in others)
+            against = self._engine.verifier or next(name for name in _VERIFIERS if name in others)
         if against not in others:
             raise ValueError(f"against: expected one of {', '.join(others)}, got {against!r}")
-        self._engine.employ_second(*resolve(against, None))
+        self._engine.prepare_verifier(*resolve(against, None))
 
     def _key(self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> tuple[Any, ...]:
         # Cameras and lights are compared by identity: they are frozen, and those of a node are the same for both calls.
         what = (id(camera), camera), lights, bias, image.dtype
         return *what, self.scene.revision, self.front_face_culling
 
-    def _trace_anew(self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> Frame:
-        """A frame by the tracer's own pipeline: from now on the last one, or there is none if this raises."""
-        self._last = None
-        frame = self._trace(image, camera, lights, bias)
-        self._last = self._key(image, camera, lights, bias), frame
+    def _trace_anew(self, samples: str, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> Frame:
+        """A frame by the tracer's own pipeline: from now on the last one of a set of samples, or there is none if this
+        raises."""
+        self._last.pop(samples, None)
+        frame = self._trace(samples, image, camera, lights, bias)
+        self._last[samples] = self._key(image, camera, lights, bias), frame
         return frame
 
     def _trace(
-        self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias, second: bool = False
+        self,
+        samples: str,
+        image: npt.NDArray[Any],
+        camera: Camera,
+        lights: Lights,
+        bias: Bias,
+        verify: bool = False,
     ) -> Frame:
-        """A frame by the tracer's own pipeline, or by the second one."""
-        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, second)
+        """A frame by the tracer's own pipeline, or by the one that verifies."""
+        result = self._engine.trace_depth(self.scene, image, camera, lights, bias, self._culling, verify, samples)
         reached = {
             light.name: (result.reached[number].reshape(image.shape), light.samples)
             for number, light in enumerate(lights)
@@ -353,52 +386,3 @@ class ShadowTracer:
         }
         names = tuple(light.name for light in lights)
         return Frame(names, image.shape, result.found, result.stages, result.counters, reached)
-
-    def _check_frame(
-        self, depth: Any, camera: Camera, lights: Iterable[Light], bias: Bias | float | None
-    ) -> tuple[npt.NDArray[Any], Camera, Lights, Bias]:
-        image = unmasked_depth(depth)
-        if image.ndim != 2:
-            raise ValueError(f"depth: expected shape (H, W), got {image.shape}")
-        if image.dtype not in (np.float32, np.uint16):
-            raise ValueError(f"depth: expected dtype float32 (metres) or uint16 (millimetres), got {image.dtype}")
-        if not isinstance(camera, Camera):
-            raise ValueError(f"camera: expected a Camera, got {type(camera).__name__}")
-        if image.shape != (camera.height, camera.width):
-            raise ValueError(
-                f"depth: expected shape {(camera.height, camera.width)} as the camera has, got {image.shape}"
-            )
-        if image.size > self._bounds.max_rays:
-            raise BoundsError(
-                f"bounds.max_rays: the image has {camera.width} x {camera.height} = {image.size} pixels, "
-                f"but the bound is {self._bounds.max_rays}"
-            )
-        checked = self._check_lights(lights)
-        if bias is None:
-            bias = Bias()
-        elif not isinstance(bias, Bias):
-            bias = Bias(constant=bias)
-        return np.ascontiguousarray(image), camera, checked, bias
-
-    def _check_lights(self, lights: Iterable[Light]) -> Lights:
-        if isinstance(lights, _LIGHTS):
-            raise ValueError("lights: expected an iterable of lights, got a single light; write [light]")
-        if not isinstance(lights, Iterable):
-            raise ValueError(f"lights: expected an iterable of lights, got {type(lights).__name__}")
-        checked = tuple(lights)  # read once: it may be a generator
-        for index, light in enumerate(checked):
-            _check_light(light, f"lights[{index}]")
-        names = [light.name for light in checked]
-        if not names:
-            raise ValueError("lights: expected at least one light, got none")
-        if len(set(names)) != len(names):
-            raise ValueError(f"lights: expected different names, got {names}")
-        if len(names) > self._bounds.max_lights:
-            raise BoundsError(f"bounds.max_lights: got {len(names)} lights, but the bound is {self._bounds.max_lights}")
-        return checked
-
-
-def _check_light(light: Any, field: str) -> None:
-    if not isinstance(light, _LIGHTS):
-        kinds = "PointLight, SpotLight, DirectionalLight or SphereLight"
-        raise ValueError(f"{field}: expected a {kinds}, got {type(light).__name__}")

@@ -66,24 +66,28 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
     tracer.scene.clear()
     tracer.front_face_culling = False
     tracer.release_verify()
-    tracer._last = None
+    for samples in tracer.sample_sets:
+        tracer.release_samples(samples)
+    tracer._last.clear()
     engine: Any = tracer._engine
-    inside: Any = engine.inside
-    inside._anchor, inside._lights = None, ()
-    inside._samples.forget()
-    inside._context.records.forget()
-    inside._balances = {names: type(balance)(balance._shares) for names, balance in inside._balances.items()}
     if engine._chooser is not None:
-        engine._chooser = inside._chooser = type(engine._chooser)(engine._chooser.candidates)
-        inside._team = inside._teams[engine._chooser.candidates[0]]
-    for share in inside._all_shares():
-        _forget(share)
+        engine._chooser = type(engine._chooser)(engine._chooser.candidates)
+    for inside in engine._seat.run(engine._found).tracers:
+        inside._anchor, inside._lights = None, ()
+        inside._samples.forget()
+        inside._context.records.forget()
+        inside._balances = {names: type(balance)(balance._shares) for names, balance in inside._balances.items()}
+        if engine._chooser is not None:
+            inside._chooser = engine._chooser
+            inside._team = inside._teams[engine._chooser.candidates[0]]
+        for share in inside._all_shares():
+            _forget(share)
     return tracer
 
 
 def trace_points(tracer: ShadowTracer, points: Any, lights: Any, bias: float = 0.0, valid: Any = None) -> Any:
     """States of (N, 3) points, those that are not ``valid`` left out, with the counters that ``states_at`` drops."""
-    return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid)
+    return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid, tracer.front_face_culling)
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,18 @@ def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayT
     return RayTree(tree, pipeline._order, frame, scene, who.groups, found, space, occluders, answers)
 
 
+def scene_bytes(tracer: ShadowTracer) -> int:
+    """Bytes that the scene takes on the device, alone of what all sets of samples share."""
+    engine: Any = tracer._engine
+    return int(engine._seat.run(engine._found).scene.nbytes())
+
+
+def fail_in_a_frame(tracer: ShadowTracer) -> None:
+    """Raise ``ZeroDivisionError`` in the middle of a frame."""
+    engine: Any = tracer._engine
+    engine._whole(lambda inside: 1 // 0)
+
+
 def structure(tracer: ShadowTracer) -> Any:
     """What the rays of a walker go through, of its only share."""
     inside: Any = tracer._engine.inside
@@ -135,6 +151,14 @@ def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
 
     inside: Any = tracer._engine.inside
     return ClosestHits(inside._scene, tracer.bounds).render(inside._pipeline, camera)
+
+
+def kept(tracer: ShadowTracer, samples: str) -> tuple[Any, list[tuple[int, int]]]:
+    """What a set of samples keeps from frame to frame: its anchor, and the first pixel and number of pixels of each of
+    its shares."""
+    engine: Any = tracer._engine
+    inside = engine._seat.run(engine._found).tracers[engine._sets[samples]]
+    return inside._anchor, [(share.frame.first, share.frame.count) for share in inside._team]
 
 
 def forget_anchor(tracer: ShadowTracer) -> None:

@@ -137,7 +137,7 @@ def test_a_blind_pipeline_is_found_out(any_device: str, names: str, wrong: str) 
     assert shadows > 100
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
     engine_: Any = tracer._engine.inside
-    pipeline = engine_._pipeline if wrong == "first" else engine_._second.pipeline
+    pipeline = engine_._pipeline if wrong == "first" else tracer._engine._inside.verifier._pipeline
     pipeline.show = lambda work: None
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == shadows
@@ -153,7 +153,7 @@ def test_wrong_records_of_the_first_are_not_inherited(any_device: str) -> None:
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])  # nothing has changed: by the records that are there
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS[2:]) > 50
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])
-    assert tracer.verify(_depth(), _CAMERA, _LIGHTS[2:]) == 0, "they are made again after a verification"
+    assert tracer.verify(_depth(), _CAMERA, _LIGHTS[2:]) == 0, "they are made again after a difference"
 
 
 def _new_light(tracer: ShadowTracer, given: dict[str, Any]) -> None:
@@ -288,13 +288,15 @@ def test_auto_verifies_nobody_and_nobody_it_may_choose_verifies_it(names: str, a
             call("auto")
     if names == "auto":
         for against in ("mesh_bvh", "light_grid", "brute_force"):
-            with pytest.raises(ValueError, match=f"^against: expected one of cone_hierarchy, got '{against}'"):
+            with pytest.raises(
+                ValueError, match=f"^against: expected one of cone_hierarchy, uniform_grid, got '{against}'"
+            ):
                 tracer.prepare_verify(against)
-        assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.second == "cone_hierarchy"
+        assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.verifier == "cone_hierarchy"
     else:
         tracer.prepare_verify("brute_force")
         tracer.select("auto")
-        assert tracer._engine.second is None, "auto may choose it for a frame"
+        assert tracer._engine.verifier is None, "auto may choose it for a frame"
         assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
 
 
@@ -306,25 +308,25 @@ def test_buffers_of_the_second_pipeline(any_device: str) -> None:
     plain = tracer.device_bytes
     assert tracer.prepare_verify() >= 0.0
     assert tracer.device_bytes > plain
-    second: Any = tracer._engine.inside._second  # type: ignore[attr-defined]
+    second: Any = tracer._engine._inside.verifier  # type: ignore[union-attr]
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
     both = tracer.device_bytes
     for seed in range(140, 150):
         tracer.scene.put("street", *_street())
         assert tracer.verify(_depth(seed), _CAMERA, _LIGHTS) == 0
-    assert tracer.device_bytes == both and tracer._engine.inside._second is second  # type: ignore[attr-defined]
+    assert tracer.device_bytes == both and tracer._engine._inside.verifier is second  # type: ignore[union-attr]
     tracer.release_verify()
     assert tracer.device_bytes == plain
     tracer.release_verify()
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS, against="brute_force") == 0
-    assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.second == "brute_force", "it is kept"
+    assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.verifier == "brute_force", "it is kept"
     tracer.prepare_verify("mesh_bvh")
     tracer.select("mesh_bvh")
-    assert tracer._engine.second is None
-    assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.second == "light_grid"
+    assert tracer._engine.verifier is None
+    assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.verifier == "light_grid"
     tracer.select("light_grid", "spherical")
-    assert tracer._engine.second is None
+    assert tracer._engine.verifier is None
 
 
 def test_a_prepared_second_pipeline_leaves_the_scene_alone(any_device: str) -> None:
@@ -343,7 +345,9 @@ def test_errors_name_the_argument(any_device: str) -> None:
             lambda name: tracer.verify(_depth(), _CAMERA, _LIGHTS, against=name),
             lambda name: tracer.prepare_verify(name),
         ):
-            with pytest.raises(ValueError, match="^against: expected one of cone_hierarchy, mesh_bvh, brute_force,"):
+            with pytest.raises(
+                ValueError, match="^against: expected one of cone_hierarchy, mesh_bvh, uniform_grid, brute_force,"
+            ):
                 call(against)
     for field, change in (
         ("depth", {"depth": _depth()[:5]}),
@@ -354,7 +358,7 @@ def test_errors_name_the_argument(any_device: str) -> None:
         arguments: dict[str, Any] = {"depth": _depth(), "camera": _CAMERA, "lights": _LIGHTS, "bias": 0.01, **change}
         with pytest.raises(ValueError, match=f"^{field}"):
             tracer.verify(**arguments)
-    assert tracer._engine.second is None, "nothing was allocated for a call that was refused"
+    assert tracer._engine.verifier is None, "nothing was allocated for a call that was refused"
 
 
 def test_frames_of_other_lights_or_sizes_cannot_be_compared(any_device: str) -> None:

@@ -18,6 +18,7 @@ LIMITS = {
     "max_lights": 64,
     "queue_capacity": 2**30,
     "grid_entries": 2**30 - 1,
+    "max_sample_sets": 16,
 }
 _MOST_STATES = 2**30 + 2**29
 
@@ -38,6 +39,8 @@ class Bounds:
         grid_entries: (tile, triangle) entries of pipeline ``light_grid`` and of depth cameras. Too few cost passes
             (counted in ``overflow_passes``), never an answer. For ``uniform_grid``, memberships of triangles in cells;
             too few make larger cells.
+        max_sample_sets: sets of samples (``ShadowTracer.trace(samples=)``) that keep what can be used again; each has
+            buffers for all the other bounds, the scene aside.
 
     Raises:
         ValueError: a capacity is not a positive integer or too large to count with; the message names it and its limit.
@@ -48,6 +51,7 @@ class Bounds:
     max_lights: int = 16
     queue_capacity: int = 1_048_576
     grid_entries: int = 4_194_304
+    max_sample_sets: int = 1
 
     def __post_init__(self) -> None:
         for item in fields(self):

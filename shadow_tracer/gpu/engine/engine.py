@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Device side of a tracer: what stays when a frame does not end.
+"""Device side of a tracer: its sets of samples, the scene that they share, and what stays when a frame does not end.
 
 An exception can reach a frame between any two steps: Ctrl-C, a signal handler that raises, a timeout, no memory. What
-was half done then is not searched for but thrown away: a frame takes the :class:`FrameTracer` out of the engine and
-puts it back at its end, so that after any other end the next frame finds none, and all buffers are allocated again.
+was half done then is not searched for but thrown away: a frame takes the :class:`FrameTracer` of all sets and the scene
+out of the engine and puts them back at its end, so that after any other end the next frame finds none, and all buffers
+are allocated again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,15 +27,29 @@ from shadow_tracer.gpu.engine.calibration import calibrate
 from shadow_tracer.gpu.engine.cuts import share_count
 from shadow_tracer.gpu.engine.frame import FrameTracer, Loaded
 from shadow_tracer.gpu.engine.gather import Traced
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.held import Source
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.checks import BoundsError, FloatArray
 from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.mesh import Scene
 
 _Result = TypeVar("_Result")
+
+
+@dataclass
+class _Inside:
+    """Everything on the device."""
+
+    scene: SceneBuffers
+    tracers: list[FrameTracer]  # of each set of samples
+    verifier: FrameTracer | None = None  # of another pipeline, which shares nothing but the scene
+
+    def all(self) -> list[FrameTracer]:
+        """Those of the sets, and the verifier."""
+        return [*self.tracers, self.verifier] if self.verifier else self.tracers
 
 
 class Engine:
@@ -52,45 +69,79 @@ class Engine:
         self._workers = Workers(share_count(device, bounds, threads, self._graphs))
         self._seat = Seat(device, records=self._graphs)
         self._loaded: set[Loaded] = set()
-        self._culling = False
         self._names: Names = (pipeline, variant)
         self._chooser = _chooser_of(self._names)
-        self._second: Names | None = None
-        self._tracer: FrameTracer | None = None
+        self._verifier: Names | None = None
+        self._sets: dict[str, int] = {}
+        self._inside: _Inside | None = None
         self._seat.run(self._found)
 
-    def _whole(self, frame: Callable[[FrameTracer], _Result], needs: Sequence[Hashable] = ()) -> _Result:
+    def _whole(self, frame: Callable[[_Inside], _Result], needs: Sequence[Hashable] = ()) -> _Result:
         """Do ``frame`` to the end; it launches the kernels ``needs``."""
         return self._seat.run(lambda: self._do(frame), needs)
 
-    def _do(self, frame: Callable[[FrameTracer], _Result]) -> _Result:
-        tracer = self._found()
-        self._tracer = None
-        result = frame(tracer)
-        self._tracer = tracer
+    def _do(self, frame: Callable[[_Inside], _Result]) -> _Result:
+        inside = self._found()
+        self._inside = None
+        result = frame(inside)
+        self._inside = inside
         return result
 
-    def _found(self) -> FrameTracer:
-        if self._tracer is None:
+    def _found(self) -> _Inside:
+        if self._inside is None:
             self._workers.settle()
             if self._graphs:
                 end_recording(self.device)
             if self.device.is_cuda:
                 wp.synchronize_device(self.device)
-            names, chooser, seat = self._names, self._chooser, self._seat
-            made = FrameTracer(
-                self.device, self.bounds, names, chooser, self._graphs, self._workers, (self._loaded, seat.loaded)
-            )
-            made.front_face_culling = self._culling
-            if self._second is not None:
-                made.employ_second(*self._second)
-            self._tracer = made
-        return self._tracer
+            scene = SceneBuffers(self.bounds, self.device)
+            made = [
+                self._make(scene, self._names, self._chooser, self._graphs) for _ in range(self.bounds.max_sample_sets)
+            ]
+            verifier = self._make(scene, self._verifier) if self._verifier else None
+            self._inside = _Inside(scene, made, verifier)
+        return self._inside
+
+    def _make(
+        self, scene: SceneBuffers, names: Names, chooser: Chooser | None = None, graphs: bool = False
+    ) -> FrameTracer:
+        loaded = self._loaded, self._seat.loaded
+        return FrameTracer(self.device, self.bounds, scene, names, chooser, graphs, self._workers, loaded)
 
     @property
     def inside(self) -> FrameTracer:
-        """What traces the frames, made again if a frame has not ended."""
-        return self._seat.run(self._found)
+        """What traces the frames of the first set of samples, made again if a frame has not ended."""
+        return self._seat.run(self._found).tracers[0]
+
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """Names of the sets of samples in use."""
+        return tuple(self._sets)
+
+    def _number(self, samples: str | None) -> int:
+        """Of the set of samples with a name, which it gets now if it is new; None is the first set, whatever its name.
+
+        Raises:
+            ValueError: no string.
+            BoundsError: all sets have other names.
+        """
+        if samples is None:
+            return 0
+        if not isinstance(samples, str):
+            raise ValueError(f"samples: expected a string, got {samples!r}")
+        if samples not in self._sets:
+            free = set(range(self.bounds.max_sample_sets)) - set(self._sets.values())
+            if not free:
+                raise BoundsError(
+                    f"bounds.max_sample_sets: {samples!r} would be one more than {', '.join(map(repr, self._sets))}, "
+                    f"but the bound is {self.bounds.max_sample_sets}"
+                )
+            self._sets[samples] = min(free)
+        return self._sets[samples]
+
+    def release_samples(self, samples: str) -> None:
+        """Let another name have a set's buffers."""
+        self._sets.pop(samples, None)
 
     @property
     def threads(self) -> int:
@@ -103,18 +154,19 @@ class Engine:
         return self._names
 
     def select(self, pipeline: str, variant: str) -> None:
-        """Use another pipeline from the next frame on; the old one's buffers are freed, and the second pipeline's if it
-        would be the same. If this raises, for instance because there is no memory for old and new together, nothing has
+        """Use another pipeline from the next frame on; the old one's buffers are freed, and the verifier's if it would
+        be the same. If this raises, for instance because there is no memory for old and new together, nothing has
         changed."""
         names = (pipeline, variant)
         chooser = _chooser_of(names)
-        made = self._seat.run(lambda: self._found().make_teams(names, chooser))
+        made = self._seat.run(lambda: [tracer.make_teams(names, chooser) for tracer in self._found().tracers])
 
-        def take(tracer: FrameTracer) -> None:
+        def take(inside: _Inside) -> None:
             self._names, self._chooser = names, chooser
-            if self.second in self.pipelines:
-                self._second = None
-            tracer.take(*made)
+            if self.verifier in self.pipelines:
+                self._verifier = inside.verifier = None
+            for tracer, teams in zip(inside.tracers, made, strict=True):
+                tracer.take(*teams)
 
         self._whole(take)
 
@@ -134,46 +186,41 @@ class Engine:
             calibrate(self, self._chooser, self.bounds)
 
     @property
-    def second(self) -> str | None:
-        """Name of the second pipeline, None if there is none."""
-        return None if self._second is None else self._second[0]
+    def verifier(self) -> str | None:
+        """Name of the pipeline that verifies, None if there is none."""
+        return None if self._verifier is None else self._verifier[0]
 
-    def employ_second(self, pipeline: str, variant: str) -> None:
-        """Allocate the buffers of a second pipeline beside the first; scene, samples and records are shared. One that
-        was there before is freed unless it is the same."""
+    def prepare_verifier(self, pipeline: str, variant: str) -> None:
+        """Allocate the buffers of another pipeline that verifies; it shares the scene. One that was there before is
+        freed unless it is the same."""
 
-        def employ() -> None:
-            self._second = None
-            self._found().employ_second(pipeline, variant)
-            self._second = (pipeline, variant)
+        def prepare() -> None:
+            inside = self._found()
+            if self._verifier != (pipeline, variant):
+                self._verifier = inside.verifier = None
+                inside.verifier = self._make(inside.scene, (pipeline, variant))
+                self._verifier = (pipeline, variant)
 
-        self._seat.run(employ)
+        self._seat.run(prepare)
 
-    def release_second(self) -> None:
-        """Free the second pipeline's buffers, if there are any, and what it alone has made of the scene."""
-        self._second = None
-        self.inside.release_second()
+    def release_verifier(self) -> None:
+        """Free the buffers of the pipeline that verifies, if there is one, and what it has made of the scene."""
+        self._verifier = self._seat.run(self._found).verifier = None
 
-    @property
-    def front_face_culling(self) -> bool:
-        """Whether triangles whose front faces the light cast nothing."""
-        return self._culling
-
-    @front_face_culling.setter
-    def front_face_culling(self, value: bool) -> None:
-        def cull(tracer: FrameTracer) -> None:
-            self._culling = tracer.front_face_culling = value
-
-        self._whole(cull)
+    def forget(self, samples: str) -> None:
+        """Make everything again in the next frame of a set of samples, whatever is there."""
+        number = self._number(samples)
+        self._whole(lambda inside: inside.tracers[number].forget())
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
-        return self.inside.nbytes()
+        inside = self._seat.run(self._found)
+        return inside.scene.nbytes() + sum(tracer.nbytes() for tracer in inside.all())
 
-    def holds(self, depth: np.ndarray) -> bool:
-        """Whether ``depth`` is, bit for bit, the depth image last traced, whatever points have been asked for since.
-        Waits for the device."""
-        return self.inside.holds(depth)
+    def holds(self, depth: np.ndarray, samples: str | None = None) -> bool:
+        """Whether ``depth`` is, bit for bit, the depth image last traced with a set of samples, whatever points have
+        been asked for since. Waits for the device."""
+        return self._seat.run(self._found).tracers[self._number(samples)].holds(depth)
 
     def trace_depth(
         self,
@@ -182,12 +229,21 @@ class Engine:
         camera: Camera,
         lights: Sequence[Light],
         bias: Bias,
-        second: bool = False,
+        cull: bool = False,
+        verify: bool = False,
+        samples: str | None = None,
     ) -> Traced:
-        """States of all pixels for all lights, by the second pipeline if so wished. Arguments have been checked:
-        float32 metres or uint16 millimetres, C order."""
+        """States of all pixels for all lights, by the pipeline that verifies if so wished. Arguments have been checked:
+        float32 metres or uint16 millimetres, C order; ``samples``: name of the set of samples, new ones get a free
+        one; None is the first set, whatever its name.
+
+        Raises:
+            BoundsError: none is free.
+        """
         frame = (Source.of(depth, bias).name, scene.triangle_count > 0)
-        return self._trace(lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias), second, frame)
+        return self._trace(
+            lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias, cull), verify, frame, samples
+        )
 
     def trace_points(
         self,
@@ -196,20 +252,32 @@ class Engine:
         lights: Sequence[Light],
         bias: float,
         valid: npt.NDArray[np.bool_] | None = None,
-        second: bool = False,
+        cull: bool = False,
+        verify: bool = False,
+        samples: str | None = None,
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
-        is all valid."""
+        is all valid. As ``trace_depth`` otherwise."""
         frame = (None, scene.triangle_count > 0)
-        return self._trace(lambda tracer: tracer.trace_points(scene, points, lights, bias, valid), second, frame)
+        trace = partial(
+            FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid, cull=cull
+        )
+        return self._trace(trace, verify, frame, samples)
 
-    def _trace(self, trace: Callable[[FrameTracer], Traced], second: bool, frame: tuple[str | None, bool]) -> Traced:
-        """By the second pipeline, or not; ``frame``: the format of its image, and whether there are triangles."""
-        if second:
-            assert self._second is not None
-            return self._whole(lambda tracer: tracer.second_opinion(lambda: trace(tracer)), [(self._second, *frame)])
+    def _trace(
+        self, trace: Callable[[FrameTracer], Traced], verify: bool, frame: tuple[str | None, bool], samples: str | None
+    ) -> Traced:
+        """``frame``: the format of its image, and whether there are triangles."""
+        if verify:
+
+            def by_verifier(inside: _Inside) -> Traced:
+                assert inside.verifier is not None
+                return trace(inside.verifier)
+
+            return self._whole(by_verifier, [(self._verifier, *frame)])
+        number = self._number(samples)
         candidates = self._chooser.candidates if self._chooser else [self._names]
-        return self._whole(trace, [(names, *frame) for names in candidates])
+        return self._whole(lambda inside: trace(inside.tracers[number]), [(names, *frame) for names in candidates])
 
 
 def _chooser_of(names: Names) -> Chooser | None:

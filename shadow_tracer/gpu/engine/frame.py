@@ -26,7 +26,7 @@ from shadow_tracer.gpu.engine.share import Share
 from shadow_tracer.gpu.engine.spheres import trace_spheres
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
-from shadow_tracer.gpu.occluders.changes import Changed
+from shadow_tracer.gpu.occluders.changes import Changed, Revision
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.anchor import depth_anchor, points_anchor
@@ -48,11 +48,13 @@ Loaded = tuple[Names, str | None, bool]
 
 
 class FrameTracer:
-    """Traces frames, one after the other, with buffers that are allocated here and never again.
+    """Traces the frames of a set of samples, one after the other, with buffers that are allocated here and never again.
+    Rays, cuts and anchor are kept from frame to frame.
 
     It is thrown away after a frame that did not end (``engine.py``): nothing here has to be right in the middle of one.
 
     Args:
+        scene: the world, which other sets of samples share.
         names: pipeline and variant.
         chooser: who chooses the pipeline of each frame; None if it is always ``names``.
         graphs: whether frames are recorded where the pipeline allows it.
@@ -64,6 +66,7 @@ class FrameTracer:
         self,
         device: Any,
         bounds: Bounds,
+        scene: SceneBuffers,
         names: Names,
         chooser: Chooser | None,
         graphs: bool,
@@ -81,13 +84,11 @@ class FrameTracer:
         mirrored = not forms.wide(device) or graphs
         self._frame = FrameBuffers(bounds, device, workers.count, mirrored=mirrored)
         self._planes = StatePlanes(self._frame) if mirrored else None
-        self._scene = SceneBuffers(bounds, device, self._frame.upload)
+        self._scene, self._synced = scene, Revision()
         records = TriangleRecords(bounds, self._scene, self._frame.light_frame_of, self._frame.host)
         self._context = Context(self._frame, self._scene, records, self.stages)
         self._anchor: Anchor | None = None
         self._lights: tuple[object, ...] = ()
-        self._second: Share | None = None
-        self._seconding = False
         self._samples = Samples(forms.wide(device) and not graphs)
         self.take(*self.make_teams(names, chooser))
 
@@ -104,15 +105,17 @@ class FrameTracer:
         return chooser, teams
 
     def take(self, chooser: Chooser | None, teams: dict[Names, list[Share]]) -> None:
-        """Use other shares from the next frame on; the old ones are freed, and the second pipeline if it would be the
-        same."""
+        """Use other shares from the next frame on; the old ones are freed."""
         self._chooser, self._teams, self._team = chooser, teams, next(iter(teams.values()))
         self._balances = {names: Balance(len(team)) for names, team in teams.items() if len(team) > 1}
         self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
-        if self.second in self.pipelines:
-            self._second = None
+
+    def forget(self) -> None:
+        """Make everything again in the next frame."""
+        self._samples.make_again()
+        self._context.records.forget()
 
     @property
     def pipelines(self) -> frozenset[str]:
@@ -121,7 +124,7 @@ class FrameTracer:
 
     def _choose(self, change: int, rays: int, lights: Sequence[Light]) -> Situation | None:
         """Hand the frame to the pipeline that is expected to be the fastest."""
-        if self._chooser is None or self._seconding:
+        if self._chooser is None:
             return None
         look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, SphereLight))
         count = sum(light.samples if isinstance(light, SphereLight) else 1 for light in lights)
@@ -146,35 +149,9 @@ class FrameTracer:
         frame = FrameBuffers(self.bounds, self.device, shares, self._frame, number)
         return replace(self._context, frame=frame, stages=Stages(self.device))
 
-    @property
-    def second(self) -> str | None:
-        """Name of the second pipeline, None if there is none."""
-        return None if self._second is None else self._second.names[0]
-
-    def employ_second(self, pipeline: str, variant: str) -> None:
-        """Allocate the buffers of a second pipeline beside the first; scene, samples and records are shared. One that
-        was there before is freed unless it is the same."""
-        if self._second is None or self._second.names != (pipeline, variant):
-            self.release_second()
-            self._second = Share(self._context, pipeline, variant)
-
-    def release_second(self) -> None:
-        """Free the second pipeline's buffers, if there are any, and what it alone has made of the scene."""
-        self._second = None
-
-    @property
-    def front_face_culling(self) -> bool:
-        """Whether triangles whose front faces the light cast nothing."""
-        return self._context.records.front_face_culling
-
-    @front_face_culling.setter
-    def front_face_culling(self, value: bool) -> None:
-        self._context.records.front_face_culling = value
-
     def nbytes(self) -> int:
-        """Bytes reserved on the device."""
-        own = self._frame.nbytes() + self._scene.nbytes()
-        own += self._context.records.nbytes() + self._context.shared.nbytes()
+        """Bytes reserved on the device, the scene aside."""
+        own = self._frame.nbytes() + self._context.records.nbytes() + self._context.shared.nbytes()
         own += self._planes.nbytes() if self._planes else 0
         return own + sum(share.nbytes() for share in self._all_shares())
 
@@ -184,12 +161,12 @@ class FrameTracer:
         return self._samples.holds(depth)
 
     def trace_depth(
-        self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: Bias
+        self, scene: Scene, depth: np.ndarray, camera: Camera, lights: Sequence[Light], bias: Bias, cull: bool = False
     ) -> Traced:
         """States of all pixels for all lights. Arguments have been checked: float32 metres or uint16 millimetres, C
-        order."""
-        self._begin_frame()
-        before = self._scene.revision
+        order; ``cull``: triangles whose front faces the light cast nothing."""
+        self._begin_frame(cull)
+        before = self._synced
         with self.stages.stage("upload"):
             situation = self._choose(self._sync(scene), depth.size, lights)
             begin, team = time.perf_counter(), self._working(depth.size)
@@ -218,10 +195,11 @@ class FrameTracer:
         lights: Sequence[Light],
         bias: float,
         valid: npt.NDArray[np.bool_] | None = None,
+        cull: bool = False,
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
-        is all valid."""
-        self._begin_frame()
+        is all valid; ``cull`` as for ``trace_depth``."""
+        self._begin_frame(cull)
         with self.stages.stage("upload"):
             self._choose(self._sync(scene), len(points), lights)
             team = self._working(len(points))
@@ -230,20 +208,9 @@ class FrameTracer:
         self._anchor = points_anchor(points, valid, bias, self._anchor)
         return self._trace_all(working, lights, None)
 
-    def second_opinion(self, trace: Callable[[], Traced]) -> Traced:
-        """What ``trace`` returns by the second pipeline, kernel by kernel, with separate triangle records."""
-        team, second, graphs = self._team, self._second, self._use_graphs
-        assert second is not None and second not in team
-        self._context.records.forget()
-        self._samples.forget()
-        self._team, self._use_graphs, self._seconding = [second], False, True
-        traced = trace()
-        self._team, self._use_graphs, self._seconding = team, graphs, False
-        self._context.records.forget()
-        return traced
-
-    def _begin_frame(self) -> None:
+    def _begin_frame(self, cull: bool) -> None:
         """Reset the times of all stages."""
+        self._context.records.front_face_culling = cull
         self._cold = False
         for share in self._all_shares():
             share.stages.reset()
@@ -261,14 +228,13 @@ class FrameTracer:
 
     def _all_shares(self) -> list[Share]:
         """Of all pipelines."""
-        shares = [share for team in self._teams.values() for share in team]
-        return [*shares, self._second] if self._second else shares
+        return [share for team in self._teams.values() for share in team]
 
     def _sync(self, scene: Scene) -> int:
-        """Copy the scene; returns what has changed of it: 0 nothing, 1 positions, 2 triangles."""
-        before = self._scene.revision
+        """Copy the scene; returns what has changed of it since the last frame: 0 nothing, 1 positions, 2 triangles."""
+        before = self._synced
         self._scene.sync(scene)
-        after = self._scene.revision
+        self._synced = after = self._scene.revision
         return 0 if after == before else 1 if after.topology == before.topology else 2
 
     def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Source | None) -> Traced:
@@ -342,15 +308,14 @@ class FrameTracer:
 
             def launch() -> None:
                 records.expect(stale)
-                self._one(first, passes, source)
+                self._run(working, passes, source, _one_after_the_other)
 
             with self.stages.stage("graph"), self.stages.paused():
-                key = (*key, self.front_face_culling, *map(bool, stale))
+                key = (*key, records.front_face_culling, *map(bool, stale))
                 self._cold |= self._graphs.run(key, launch)
-        elif len(working) == 1:
-            self._one(first, passes, source)
         else:
-            self._side_by_side(working, passes, source, self._workers.run if loaded else _one_after_the_other)
+            side_by_side = loaded and len(working) > 1
+            self._run(working, passes, source, self._workers.run if side_by_side else _one_after_the_other)
         self._loaded.add(kernels)
         self._loaded_by_anybody.add(kernels)
 
@@ -370,23 +335,14 @@ class FrameTracer:
         """Whether all kernels of a pipeline have been launched, but for those that make samples."""
         return any(kernels[0] == names and kernels[2] == bool(self._scene.triangle_count) for kernels in self._loaded)
 
-    def _one(self, share: Share, passes: Sequence[Pass], source: Source | None) -> None:
-        share.begin(source)
-        for work in passes:
-            share.project(work)
-            share.aim(work)
-            share.trace(work)
-        if self._planes:
-            with self.stages.stage("download"):
-                self._planes.pack(sum(len(work.lights) for work in passes))
-
-    def _side_by_side(
+    def _run(
         self,
         working: Sequence[Share],
         passes: Sequence[Pass],
         source: Source | None,
         run: Callable[[Sequence[Job]], None],
     ) -> None:
+        """The order of a frame: of each pass first what one share makes for all of them."""
         for number, work in enumerate(passes):
             working[0].aim(work)
 
@@ -399,6 +355,9 @@ class FrameTracer:
                 share.busy += time.perf_counter() - begin
 
             run([partial(job, share) for share in working])
+        if self._planes:
+            with self.stages.stage("download"):
+                self._planes.pack(sum(len(work.lights) for work in passes))
 
 
 def _deal(team: Sequence[Share], cuts: Sequence[tuple[int, int]], width: int) -> list[Share]:

@@ -55,6 +55,10 @@ class Samples:
         """Others have written where they were."""
         self._depth = self._source = None
 
+    def make_again(self) -> None:
+        """Samples are made again when they come next; the image stays."""
+        self._source = None
+
     def has_depth(self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: Bias) -> bool:
         """Whether the samples in ``frames`` are those of a depth image."""
         source = _look(depth, camera, bias), _parts_of(frames)

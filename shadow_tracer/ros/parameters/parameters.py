@@ -277,7 +277,7 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
         raise ParameterError(f"camera_pose: expected a unit quaternion qx qy qz qw, got one of length {length:.6g}")
     lights = tuple(_light(name, values) for name in names)
     try:
-        Bounds(**{name: checked[f"bounds.{name}"] for name in LIMITS})
+        Bounds(**{name: checked[f"bounds.{name}"] for name in LIMITS if f"bounds.{name}" in checked})
     except ValueError as error:  # of two that do not fit together
         raise ParameterError(str(error)) from error
     del checked["light_names"]  # lights has them

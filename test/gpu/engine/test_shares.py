@@ -194,7 +194,7 @@ def test_counters_are_those_of_the_last_light_even_after_further_passes() -> Non
         tracer.scene.put("ball", vertices, triangles)
         lights = [PointLight("inside", (0.0, 0.0, 2.0)), PointLight("last", (0.0, 3.0, 2.0), range=0.01)]
         # Samples on corners: none of them is decided by the filter.
-        traced = tracer._engine.trace_points(tracer.scene, np.asarray(vertices, float), lights, 0.0)
+        traced = probe.trace_points(tracer, np.asarray(vertices, float), lights)
         counters.append(traced.counters)
     assert counters[0]["overflow_passes"] == 0 < counters[1]["overflow_passes"]
     assert counters[0]["culled"] == counters[1]["culled"] > 0
