@@ -20,9 +20,9 @@ from pictures import Picture, demo_workshop, living_room
 from report import table
 
 from shadow_tracer import Bounds, DepthCamera, Frame, PointLight, Scene, ShadowTracer, SpotLight
+from shadow_tracer.gpu.accelerators.camera_grid.grid import Grid
 from shadow_tracer.gpu.accelerators.camera_grid.hit import Sorted, tile_may_meet
-from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays, Seen
-from shadow_tracer.gpu.accelerators.camera_grid.setup import Grid
+from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays
 from shadow_tracer.gpu.accelerators.light_grid.binning import Bins
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
 from shadow_tracer.gpu.accelerators.spherical_grid.rays import Tiles as AngleTiles
@@ -30,6 +30,7 @@ from shadow_tracer.gpu.accelerators.spherical_grid.rays import cell_of
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.devices import pick_device
 from shadow_tracer.gpu.exact.decision import YES, filter_pair, ray_magnitude
+from shadow_tracer.gpu.visibility.depth_image import Seen
 
 
 @wp.kernel(enable_backward=False)
@@ -97,7 +98,7 @@ def count_pixels(grid: Grid, scene: Sorted, tests: wp.array(dtype=int)):
     coarse = grid.tiles_x * grid.tiles_y + (tile_y // grid.group) * grid.coarse_x + tile_x // grid.group
     done = scene.starts[tile + 1] - scene.starts[tile]
     for k in range(scene.starts[coarse], scene.starts[coarse + 1]):
-        if tile_may_meet(scene.lists[k], tile_x, tile_y, grid, scene.records):
+        if tile_may_meet(scene.lists[k], tile_x, tile_y, grid, scene.seen.records):
             done += 1
     tests[tile] = done
 

@@ -16,7 +16,8 @@ from shadow_tracer.scene.checks import BoundsError
 from shadow_tracer.scene.mesh import Scene
 
 if TYPE_CHECKING:
-    from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays, Seen
+    from shadow_tracer.gpu.accelerators.camera_grid.primary import PrimaryRays
+    from shadow_tracer.gpu.visibility.depth_image import Seen
 
 DepthAndTriangle = tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]
 

@@ -19,7 +19,7 @@ def failing_tests(changes: Sequence[Change], tests: str, some: str, folder: Path
     """The lines ``FAILED ...`` of tests in a copy that has been changed; some of them must fail by an assertion.
 
     Args:
-        tests: a file below ``test/gpu/accelerators``.
+        tests: a file below ``test/gpu``.
         some: which of them, as pytest's option -k takes it.
         folder: an empty one for the copy.
         kernels: a cache of kernels for several copies: what has not changed is compiled once.
@@ -33,7 +33,7 @@ def failing_tests(changes: Sequence[Change], tests: str, some: str, folder: Path
         assert code.count(there) == 1, f"the safeguard has moved from {name}: update this test"
         path.write_text(code.replace(there, instead), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"test/gpu/accelerators/{tests}", "-k", some],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"test/gpu/{tests}", "-k", some],
         cwd=folder,
         env={
             **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},

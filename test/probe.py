@@ -144,6 +144,15 @@ def structure(tracer: ShadowTracer) -> Any:
     return inside._pipeline.structure
 
 
+def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
+    """What the pixels of a camera see of the tracer's scene, as it was in the last frame, through the structure of its
+    only share."""
+    from shadow_tracer.gpu.accelerators.closest_hits import ClosestHits
+
+    inside: Any = tracer._engine.inside
+    return ClosestHits(inside._scene, tracer.bounds).render(inside._pipeline, camera)
+
+
 def kept(tracer: ShadowTracer, samples: str) -> tuple[Any, list[tuple[int, int]]]:
     """What a set of samples keeps from frame to frame: its anchor, and the first pixel and number of pixels of each of
     its shares."""

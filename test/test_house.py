@@ -57,7 +57,12 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
         "shadow_tracer.scene",
     ),
     "self_test": ("shadow_tracer.visibility", "shadow_tracer.tracer", _REGISTRY, "shadow_tracer.scene"),
-    "depth_camera": (_GPU + "accelerators.camera_grid", _GPU + "device", "shadow_tracer.scene"),
+    "depth_camera": (
+        _GPU + "accelerators.camera_grid",
+        _GPU + "visibility.depth_image",
+        _GPU + "device",
+        "shadow_tracer.scene",
+    ),
     "__init__": (
         "shadow_tracer.visibility",
         "shadow_tracer.tracer",

@@ -46,7 +46,17 @@ struct Segment {
             above[k] = Query1::SPREADS ? origin[k] + (float)beside : origin[k];
             below[k] = Query1::SPREADS ? origin[k] - (float)beside : origin[k];
         }
-        longest = (float)((to - from) * 1.0001 + BOX_PADDING);
+        longest = holding(to - from);
         return MEETS;
+    }
+    static inline float holding(double length) { return (float)(length * 1.0001 + BOX_PADDING); }
+    // Leaves out what the query has found to be too far off to matter.
+    inline void shorten(Query1& query, const SceneBox& box) {
+        double metres;
+        if (!query.shortened(metres))
+            return;
+        const double length = metres * box.inverse_extent - from;
+        const float nearer = holding(length > 0.0 ? length : 0.0);
+        longest = nearer < longest ? nearer : longest;
     }
 };

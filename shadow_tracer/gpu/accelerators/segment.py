@@ -12,6 +12,12 @@ where that would eat the padding, is shown every triangle instead.
 A query may be about a bundle of rays from a sample to a sphere of radius R around the light (``query.spread()``). A
 point of such a ray is within R of the point of the middle ray with the same share of the way, so the boxes are met
 within R, taken 1e-5 larger, which is more than what its own roundings may be.
+
+A query may find out on the way that nothing matters beyond some length (``query.shortened()``). The segment then ends
+there (``shorten``), or a little behind: the length in units of E, less where the box begins, is off by what clipping
+rounds, which the padding holds, and is taken 1e-4 longer. A point of the exact ray before that length is before the
+end, and padding is enough for a walk to find it in its box or cell: however it rounds, it finds that the ray enters a
+padded box no later than any point that the exact ray has in the box without padding.
 """
 
 from __future__ import annotations

@@ -91,6 +91,8 @@ struct WIDE(AnyHit) {
     inline const wp::vec4d& sample() const { return answers.positions.data[ray[0]]; }
     inline const wp::vec4d& light() const { return answers.lights.data[0].light; }
     static inline double spread() { return 0.0; }
+    // Whether less of the ray matters than when this was last asked; if so, how much [m].
+    static inline bool shortened(double& metres) { return false; }
     inline void end() { taken = 0; }
     inline void report(int row) const {
         wp::int64* counter = answers.counters.data + (size_t)(row & (COUNTER_ROWS - 1)) * answers.counters.shape[1];

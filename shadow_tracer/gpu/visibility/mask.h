@@ -179,6 +179,7 @@ struct PointMask1 {
     inline const wp::vec4d& sample() const { return asked.positions.data[ray[0]]; }
     inline const wp::vec4d& light() const { return asked.middle; }
     inline double spread() const { return asked.radius; }
+    static inline bool shortened(double& metres) { return false; }
     inline void end() {
         asked.seen.data[ray[0]] = open;
         taken = 0;

@@ -14,8 +14,10 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.exact.camera_records import CameraRays, CameraTriangles
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.visibility.answers import Answers
+from shadow_tracer.gpu.visibility.depth_image import Image
 
 
 @dataclass(frozen=True)
@@ -76,4 +78,20 @@ class Mask:
 
 
 MASK = Query("visibility/mask.h", Mask)
-ALL = (ANY_HIT, MASK)
+
+
+@wp.struct
+class Closest:
+    """Which triangle each pixel of a camera sees, and how far away."""
+
+    rays: CameraRays
+    seen: CameraTriangles
+    count: int  # of triangles
+    slack: wp.array(dtype=wp.float64)  # one number, see exact/depth_slack.py
+    image: Image
+    nodes: wp.array(dtype=wp.int64)  # visited, one sum for each row of the counters
+    counters: wp.array2d(dtype=wp.int64)
+
+
+CLOSEST = Query("visibility/closest.h", Closest)
+ALL = (ANY_HIT, MASK, CLOSEST)

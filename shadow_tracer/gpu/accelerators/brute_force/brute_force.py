@@ -19,6 +19,7 @@ from shadow_tracer.gpu.exact.decision import decide, is_ray
 from shadow_tracer.gpu.exact.determinant import determinant_sign
 from shadow_tracer.gpu.exact.light_frame import SHADOWED
 from shadow_tracer.gpu.samples.passes import Pass
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
 
 
 @wp.struct
@@ -67,7 +68,7 @@ def test_all_float64(
 class BruteForce(Walker):
     """The ``brute_force`` pipeline."""
 
-    walk = Walk("accelerators/brute_force/every_triangle.h", Structure, lanes=16)
+    walk = Walk("accelerators/brute_force/every_triangle.h", Structure, lanes=16, queries=(ANY_HIT, CLOSEST))
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)

@@ -5,7 +5,8 @@
 struct Walk1 {
     enum { DEPTH = 64 };
     const wp::BVH tree;
-    const Segment& segment;
+    const SceneBox& box;
+    Segment& segment;
     const wp::vec3 inverse;
 
     // Entry distance of a node's box, or one that is not `met`.
@@ -20,6 +21,7 @@ struct Walk1 {
     inline bool descend(Query1& query) const {
         int stack[DEPTH];
         int top = 0, node = *tree.root;
+        segment.shorten(query, box);
         if (!met(enter(node)))
             return true;
         for (;;) {
@@ -30,6 +32,7 @@ struct Walk1 {
                 for (int k = left; k < right; ++k)
                     if (Leaf::visit(tree.primitive_indices[k], query))
                         return true;
+                segment.shorten(query, box);
             } else {
                 const float to_left = enter(left), to_right = enter(right);
                 const bool see_left = met(to_left), see_right = met(to_right);
@@ -57,7 +60,8 @@ struct Walk1 {
         if (place == Segment::MISSES || (place == Segment::MEETS && Hints::enough(structure, query)))
             return;
         const wp::vec3 inverse(1.0f / segment.direction[0], 1.0f / segment.direction[1], 1.0f / segment.direction[2]);
-        if (place == Segment::TOO_FAR || !Walk1{ wp::bvh_get(structure.bvh), segment, inverse }.descend(query))
+        if (place == Segment::TOO_FAR
+            || !Walk1{ wp::bvh_get(structure.bvh), structure.box, segment, inverse }.descend(query))
             query.everything();
         Hints::leave(structure, query);
     }

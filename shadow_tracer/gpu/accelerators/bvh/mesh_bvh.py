@@ -26,7 +26,7 @@ from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.occluders.slots import Ranges
-from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST, MASK
 from shadow_tracer.scene.checks import FloatArray
 
 # Boxes to spare: one for so many triangles, and these; and the share of triangles that may be replaced, or boxes that
@@ -48,8 +48,8 @@ class Structure:
     box: SceneBox
 
 
-_WIDE = Walk("accelerators/bvh/wide_tree.h", Structure, queries=(ANY_HIT, MASK))
-_BINARY = Walk("accelerators/bvh/binary_tree.h", Structure, queries=(ANY_HIT, MASK))
+_WIDE = Walk("accelerators/bvh/wide_tree.h", Structure, queries=(ANY_HIT, MASK, CLOSEST))
+_BINARY = Walk("accelerators/bvh/binary_tree.h", Structure, queries=(ANY_HIT, MASK, CLOSEST))
 
 
 class MeshBvh(Walker):

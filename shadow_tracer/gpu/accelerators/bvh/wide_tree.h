@@ -7,11 +7,12 @@ struct Walk1 {
     enum { DEPTH = 256, BOUNDS = 6 * TREE_WIDTH, LINKS = 2 * TREE_WIDTH, INNER = 0, NONE = -1 };
 
     // False if the stack does not hold the tree.
-    static inline bool descend(const Structure& structure, const Segment& segment, Query1& query) {
+    static inline bool descend(const Structure& structure, Segment& segment, Query1& query) {
         const wp::vec3 inverse(1.0f / segment.direction[0], 1.0f / segment.direction[1], 1.0f / segment.direction[2]);
         const int* primitives = wp::bvh_get(structure.bvh).primitive_indices;
         int stack[DEPTH];
         int top = 0, node = 0;
+        segment.shorten(query, structure.box);
         for (;;) {
             ++query.nodes;
             const Real8* bound = (const Real8*)(structure.bounds.data + BOUNDS * (size_t)node);
@@ -30,6 +31,7 @@ struct Walk1 {
                     for (int j = link[k]; j < link[k] + count[k]; ++j)
                         if (Leaf::visit(primitives[j], query))
                             return true;
+                    segment.shorten(query, structure.box);
                     continue;
                 }
                 const bool nearer = in[k] < nearest;

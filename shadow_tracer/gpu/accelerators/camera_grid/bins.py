@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.camera_grid.setup import Grid
+from shadow_tracer.gpu.accelerators.camera_grid.grid import Grid
 from shadow_tracer.gpu.device import native
 
 

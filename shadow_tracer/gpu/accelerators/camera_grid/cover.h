@@ -1,4 +1,4 @@
-// needs: exact/arithmetic32.h accelerators/camera_grid/record.h
+// needs: exact/arithmetic32.h exact/camera_record.h
 // arguments: Grid grid
 // The tiles of a camera's grid that a triangle may be seen in; bins.py has the proof. Nothing that decides is
 // contracted: the kernels that count and that emit must find the same tiles.
@@ -27,8 +27,8 @@ struct Cover : Arithmetic32 {
     // Whether any ray of these columns and rows may be inside the edges of a record.
     static inline bool may_meet(const Grid& grid, const float* record, int column0, int column1, int row0, int row1) {
         // The axes of a table of rays are the edges of the tiles, those of a pinhole the rays themselves.
-        const float x0 = grid.columns.data[column0], x1 = grid.columns.data[column1 + grid.tabled];
-        const float y0 = grid.rows.data[row0], y1 = grid.rows.data[row1 + grid.tabled];
+        const float x0 = grid.columns.data[column0], x1 = grid.columns.data[column1 + grid.rays.tabled];
+        const float y0 = grid.rows.data[row0], y1 = grid.rows.data[row1 + grid.rays.tabled];
         const float bound = times(record[CameraRecord::EDGE_BOUND], larger(x0, x1) + larger(y0, y1) + 2.0f);
         for (int k = 0; k < CameraRecord::EDGES; ++k) {
             const float* n = record + 4 * k;
@@ -77,7 +77,7 @@ struct Cover : Arithmetic32 {
         }
         if (back < -0x1p-40f * size)
             return;
-        const float right = (float)(grid.width - 1), bottom = (float)(grid.height - 1);
+        const float right = (float)(grid.rays.width - 1), bottom = (float)(grid.rays.height - 1);
         float c0 = 0.0f, c1 = right, r0 = 0.0f, r1 = bottom;
         if (front > 0x1p-18f * size && size < 1.0e30f) {
             float u0 = 3.0e38f, u1 = -3.0e38f, v0 = 3.0e38f, v1 = -3.0e38f;
@@ -94,7 +94,7 @@ struct Cover : Arithmetic32 {
             u1 = plus(plus(times(u1, grid.fx), grid.cx), pad_x);
             v0 = minus(plus(times(v0, grid.fy), grid.cy), pad_y);
             v1 = plus(plus(times(v1, grid.fy), grid.cy), pad_y);
-            if (grid.tabled) {
+            if (grid.rays.tabled) {
                 // Rays are anywhere, and beyond the grid in its outermost tiles.
                 c0 = within(floorf(u0), right);
                 c1 = within(floorf(u1), right);

@@ -12,33 +12,21 @@ tests sixteen rays at a time (``tiles16.h``), but those of a table one by one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.camera_grid.bins import bin_triangles, count_entries, emit_entries, fill_lists
-from shadow_tracer.gpu.accelerators.camera_grid.hit import (
-    COUNTER_SHAPE,
-    COUNTERS,
-    TILE,
-    Image,
-    Sorted,
-    threads_of,
-    trace_pixels,
-    trace_tiles,
-)
+from shadow_tracer.gpu.accelerators.camera_grid.grid import Grid
+from shadow_tracer.gpu.accelerators.camera_grid.hit import TILE, Sorted, threads_of, trace_pixels, trace_tiles
 from shadow_tracer.gpu.accelerators.camera_grid.rays import Axis, tiles_of
-from shadow_tracer.gpu.accelerators.camera_grid.setup import PLANE_COLUMNS, Grid, make_camera_frame, pack_triangles
+from shadow_tracer.gpu.accelerators.camera_view import CameraView, pinhole_axes
 from shadow_tracer.gpu.device import forms
-from shadow_tracer.gpu.device.transfers import HostValues
-from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.exact.records import BLOCK
+from shadow_tracer.gpu.exact.hit import COUNTERS
 from shadow_tracer.gpu.occluders.corners import project
-from shadow_tracer.gpu.occluders.seen import prepare
 from shadow_tracer.gpu.occluders.world import SceneBuffers
+from shadow_tracer.gpu.visibility.depth_image import Seen, counted, make_counters, make_image, seen_nothing, seen_on
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera, RayTable
 from shadow_tracer.scene.mesh import Scene
@@ -50,15 +38,6 @@ _FILL_THREADS = 65536
 _COUNTERS = ("triangles", "degenerate", "entries", "largest_tile", "passes", *COUNTERS)
 
 
-@dataclass(frozen=True)
-class Seen:
-    """Result of a frame: (N,) depths [m] and triangles, and counters."""
-
-    depth: npt.NDArray[np.float32]
-    triangle: npt.NDArray[np.int32]
-    counters: dict[str, int]
-
-
 class PrimaryRays:
     """Renders depth images on one device, with buffers allocated here and never again.
 
@@ -67,19 +46,25 @@ class PrimaryRays:
         bounds: capacities.
         wide: whether to use the CPU's form; None: on the CPU. The answers are the same.
         tile: side of a sorting tile [px]; the CPU's form has 8.
+        scene: the world on the device, ordered, if others have it already.
     """
 
-    def __init__(self, device: Any, bounds: Bounds, wide: bool | None = None, tile: int = TILE) -> None:
+    def __init__(
+        self,
+        device: Any,
+        bounds: Bounds,
+        wide: bool | None = None,
+        tile: int = TILE,
+        scene: SceneBuffers | None = None,
+    ) -> None:
         self._device, self._bounds, self._tile = device, bounds, tile
         self._wide = forms.wide(device) if wide is None else wide
         if self._wide and tile != TILE:
             raise ValueError(f"tile: expected {TILE} for the CPU's form, got {tile}")
         rays, triangles, entries = bounds.max_rays, bounds.max_triangles, bounds.grid_entries
-        self.scene = SceneBuffers(bounds, device, ordered=True)
-        self._frame = HostValues(LightFrame, 1, device)
+        self.scene = SceneBuffers(bounds, device, ordered=True) if scene is None else scene
+        self._view = CameraView(self.scene, bounds, beyond=tile)
         self._corners = wp.empty(len(self.scene.vertices), dtype=wp.vec4, device=device)
-        self._records = wp.empty((triangles, 4), dtype=wp.vec4, device=device)
-        self._planes = wp.empty((triangles, PLANE_COLUMNS), dtype=wp.float64, device=device)
         self._pairs = wp.empty(entries, dtype=wp.vec2i, device=device)
         self._lists = wp.empty(entries, dtype=int, device=device)
         self._ends = None if self._wide else wp.empty(triangles, dtype=wp.int64, device=device)
@@ -88,15 +73,11 @@ class PrimaryRays:
         tiles = sum(rays // s**2 + (rays + 1) // s + 2 for s in (tile, side))
         self._starts = wp.empty(tiles + 1, dtype=int, device=device)
         self._cursor = wp.zeros(3, dtype=int, device=device)
-        self._silent = wp.zeros(-(-triangles // BLOCK), dtype=wp.vec2i, device=device)
-        self._counters = wp.zeros(COUNTER_SHAPE, dtype=wp.int64, device=device)
-        self._axes = [wp.empty(rays + tile, dtype=t, device=device) for t in (float, float, wp.float64, wp.float64)]
-        self._table = wp.empty(rays, dtype=wp.vec2, device=device)
+        self._counters = make_counters(device)
+        self._axes = [wp.empty(rays + tile, dtype=float, device=device) for _ in range(2)]
         self._tile_of = wp.empty(rays, dtype=int, device=device)
-        self._along: tuple[RayTable, Axis, Axis] | None = None  # what axes, table and tiles are of; None: a pinhole
-        self._image = Image()
-        self._image.depth = wp.empty(rays, dtype=float, device=device)
-        self._image.triangle = wp.empty(rays, dtype=int, device=device)
+        self._along: tuple[RayTable, Axis, Axis] | None = None  # what axes and tiles are of; None: a pinhole
+        self._image = make_image(rays, device)
         self._grid = Grid()
         self._made_for: Camera | None = None
 
@@ -105,81 +86,73 @@ class PrimaryRays:
         self.scene.sync(scene)
         count, rays = self.scene.triangle_count, camera.width * camera.height
         if count == 0:
-            nothing = np.full(rays, np.nan, np.float32), np.full(rays, -1, np.int32)
-            return Seen(*nothing, {"rays": rays, **dict.fromkeys(_COUNTERS, 0)})
+            return seen_nothing(rays, {"rays": rays, **dict.fromkeys(_COUNTERS, 0)})
         self._look_from(camera)
-        self._set_up(count)
+        self._set_up()
         self._counters.zero_()
         passes = self._passes_in_order(count) if self._wide else self._passes_by_scan(count)
-        depth = self._image.depth.numpy()[:rays].copy()
-        triangle = self._image.triangle.numpy()[:rays].copy()
-        totals = self._counters.numpy().sum(axis=0)
-        degenerate = int(self._silent.numpy()[: -(-count // BLOCK), 0].sum())
-        values = (count, degenerate, *passes, *(int(total) for total in totals))
-        return Seen(depth, triangle, {"rays": rays, **dict(zip(_COUNTERS, values, strict=True))})
+        values = (count, self._view.unseen(), *passes, *counted(self._counters).values())
+        return seen_on(self._image, rays, {"rays": rays, **dict(zip(_COUNTERS, values, strict=True))})
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         arrays = [a for a in vars(self).values() if isinstance(a, wp.array)]
         arrays += [*self._axes, self._image.depth, self._image.triangle]
-        return int(sum(a.capacity for a in arrays)) + self.scene.nbytes()
+        return int(sum(a.capacity for a in arrays)) + self._view.nbytes() + self.scene.nbytes()
 
     def _look_from(self, camera: Camera) -> None:
         if camera is self._made_for:
             return
         self._made_for = None
-        self._frame.write([make_camera_frame(camera)])
+        self._view.look_from(camera)
         grid, tile = Grid(), self._tile
-        grid.width, grid.height, grid.tile, grid.group = camera.width, camera.height, tile, _GROUP
+        grid.rays, grid.tile, grid.group = self._view.rays, tile, _GROUP
         grid.tiles_x, grid.tiles_y = -(-camera.width // tile), -(-camera.height // tile)
         grid.coarse_x, grid.coarse_y = -(-grid.tiles_x // _GROUP), -(-grid.tiles_y // _GROUP)
-        rotation = camera.camera_to_world[:3, :3]
-        grid.position = wp.vec3d(*camera.position)
-        grid.right, grid.down, grid.forward = (wp.vec3d(*rotation[:, k]) for k in range(3))
-        grid.depth_row = wp.vec3d(*np.linalg.inv(rotation)[2])
-        grid.columns, grid.rows, grid.columns64, grid.rows64 = self._axes
-        grid.table, grid.tile_of, grid.tabled = self._table, self._tile_of, camera.rays is not None
+        (grid.columns, grid.rows), grid.tile_of = self._axes, self._tile_of
         if camera.rays is not None:
             self._look_along(camera.rays, grid)
         else:
             grid.fx, grid.fy, grid.cx, grid.cy = camera.fx, camera.fy, camera.cx, camera.cy
-            x = (np.arange(grid.tiles_x * tile, dtype=np.float64) - camera.cx) / camera.fx
-            y = (np.arange(grid.tiles_y * tile, dtype=np.float64) - camera.cy) / camera.fy
-            for axis, values in zip(self._axes, (x.astype(np.float32), -y.astype(np.float32), x, y), strict=True):
+            x, y = pinhole_axes(camera, tile)
+            for axis, values in zip(self._axes, (x.astype(np.float32), -y.astype(np.float32)), strict=True):
                 self.scene.upload(axis, values)
             self._along = None
         self._grid, self._made_for = grid, camera
 
     def _look_along(self, rays: RayTable, grid: Grid) -> None:
-        """Axes, rays and their tiles, which another pose leaves as they are."""
+        """Axes and the tiles of rays, which another pose leaves as they are."""
         if self._along is None or self._along[0] != rays:
             across, down, tiles = tiles_of(rays, self._tile)
             self._along = None
-            self.scene.upload(self._table, rays.xy.reshape(-1, 2))
             self.scene.upload(self._tile_of, tiles.reshape(-1))
-            for axis, values in zip(self._axes, (across.edges, -down.edges), strict=False):
+            for axis, values in zip(self._axes, (across.edges, -down.edges), strict=True):
                 self.scene.upload(axis, values)
             self._along = rays, across, down
         _, across, down = self._along
         grid.fx, grid.fy, grid.cx, grid.cy = across.focal, down.focal, across.centre, down.centre
 
-    def _set_up(self, count: int) -> None:
-        device, scene = self._device, self.scene
-        self._silent.zero_()
-        prepare(self._frame.array, scene, self._records, False, self._silent)
-        project(self._frame.array, scene.vertices, self._corners, (0, scene.vertex_count))
-        inputs = [self._grid, scene.vertices, scene.triangles, self._records, self._planes]
-        wp.launch(pack_triangles, dim=count, inputs=inputs, device=device)
+    def _set_up(self) -> None:
+        self._view.set_up()
+        project(self._view.frame, self.scene.vertices, self._corners, (0, self.scene.vertex_count))
 
     def _passes_in_order(self, count: int) -> tuple[int, int, int]:
         grid, device, starts = self._grid, self._device, self._tile_starts()
-        sizes = [self.scene.triangles, self._corners, self._records, self._pairs, starts, self._lists, self._cursor]
+        sizes = [
+            self.scene.triangles,
+            self._corners,
+            self._view.records,
+            self._pairs,
+            starts,
+            self._lists,
+            self._cursor,
+        ]
         self._cursor.zero_()
         passes = entries = largest = 0
         while passes == 0 or self._cursor.numpy()[0] < count:
             wp.launch(bin_triangles, dim=1, inputs=[count, grid, *sizes], device=device)
             inputs = [grid, self._sorted(starts), int(passes > 0), self._image, self._counters]
-            if grid.tabled:  # rays of a tile are not in rows
+            if grid.rays.tabled:  # rays of a tile are not in rows
                 wp.launch(trace_pixels, dim=threads_of(grid, _BLOCK), inputs=[_BLOCK, *inputs], device=device)
             else:
                 wp.launch(trace_tiles, dim=grid.tiles_y, inputs=inputs, device=device)
@@ -192,7 +165,7 @@ class PrimaryRays:
         grid, device, scene, starts = self._grid, self._device, self.scene, self._tile_starts()
         assert self._ends is not None
         ends = self._ends[:count]
-        seen = [scene.triangles, self._corners, self._records]
+        seen = [scene.triangles, self._corners, self._view.records]
         wp.launch(count_entries, dim=count, inputs=[grid, *seen, ends], device=device)
         wp.utils.array_scan(ends, ends, inclusive=True)
         capacity, threads = self._bounds.grid_entries, forms.tasks(device, _FILL_THREADS)
@@ -226,7 +199,5 @@ class PrimaryRays:
 
     def _sorted(self, starts: wp.array) -> Sorted:
         made = Sorted()
-        made.vertices, made.triangles = self.scene.vertices, self.scene.triangles
-        made.records, made.planes = self._records, self._planes
-        made.starts, made.lists = starts, self._lists
+        made.seen, made.starts, made.lists = self._view.seen(), starts, self._lists
         return made

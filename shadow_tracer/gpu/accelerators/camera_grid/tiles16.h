@@ -1,12 +1,13 @@
 // cpu
-// needs: accelerators/camera_grid/cover.h accelerators/camera_grid/hit.h accelerators/camera_grid/ray_test.h@1
-// needs: accelerators/camera_grid/ray_test.h@16
+// needs: accelerators/camera_grid/cover.h exact/hit.h exact/ray_test.h@1
+// needs: exact/ray_test.h@16
 // constants: CAMERA_TILE
-// arguments: Image image
+// arguments: Grid grid, Sorted scene, CameraRays grid.rays, CameraTriangles scene.seen, Image image
 // A row of tiles and one thread, sixteen rays of a tile at a time. The bound of a tile is that of its outermost ray, so
 // it differs from a single ray's: both are right.
 struct Tiles16 : Hit {
     enum { SIDE = CAMERA_TILE, PIXELS = SIDE * SIDE, ROWS = 16 / SIDE };
+    const Grid& grid;
     const Image& image;
     const int tile_y, row0, rows; // the first of its rows of pixels, and how many are in the image
     int column0, columns;         // the same of the tile at hand
@@ -19,15 +20,15 @@ struct Tiles16 : Hit {
     int there[PIXELS / 16]; // as bits: pixels inside the image
 
     inline Tiles16(int tile_y, const Grid& grid, const Sorted& scene, const Image& image)
-        : Hit(grid, scene), image(image), tile_y(tile_y), row0(SIDE * tile_y),
-          rows(grid.height - SIDE * tile_y < SIDE ? grid.height - SIDE * tile_y : SIDE), column0(0), columns(0),
-          magnitude(0.0f), tests(0) {
+        : Hit(grid.rays, scene.seen), grid(grid), image(image), tile_y(tile_y), row0(SIDE * tile_y),
+          rows(grid.rays.height - SIDE * tile_y < SIDE ? grid.rays.height - SIDE * tile_y : SIDE), column0(0),
+          columns(0), magnitude(0.0f), tests(0) {
         for (int j = 0; j < PIXELS; ++j)
             y[j] = grid.rows.data[row0 + j / SIDE];
     }
     inline void begin(int tile_x, int further) {
         column0 = SIDE * tile_x;
-        columns = grid.width - column0 < SIDE ? grid.width - column0 : SIDE;
+        columns = grid.rays.width - column0 < SIDE ? grid.rays.width - column0 : SIDE;
         for (int j = 0; j < 16; ++j)
             x[j] = grid.columns.data[column0 + j % SIDE];
         magnitude = Cover::larger(x[0], x[SIDE - 1]) + Cover::larger(y[0], y[PIXELS - 1]) + 2.0f;
@@ -48,17 +49,17 @@ struct Tiles16 : Hit {
     }
     // Goes on with what a pass before has found.
     inline void resume(int j) {
-        best[j] = image.triangle.data[(row0 + j / SIDE) * grid.width + column0 + j % SIDE];
+        best[j] = image.triangle.data[(row0 + j / SIDE) * grid.rays.width + column0 + j % SIDE];
         if (best[j] < 0)
             return;
         RayTest1 test;
-        test.measure(CameraRecord::at(scene.records, best[j]), x[j % SIDE], y[j],
+        test.measure(CameraRecord::at(seen.records, best[j]), x[j % SIDE], y[j],
                      fabsf(x[j % SIDE]) + fabsf(y[j]) + 2.0f);
         low[j] = test.low;
         high[j] = test.high;
     }
     inline void visit(int triangle) {
-        const float* record = CameraRecord::at(scene.records, triangle);
+        const float* record = CameraRecord::at(seen.records, triangle);
         tests += columns * rows;
         for (int group = 0; ROWS * group < rows; ++group) {
             const int from = 16 * group;
@@ -74,7 +75,7 @@ struct Tiles16 : Hit {
             for (int rest = left & there[group] & ~Lanes16::bits(test.closer); rest; rest &= rest - 1) {
                 const int lane = __builtin_ctz(rest), pixel = from + lane;
                 if (!replaces(triangle, best[pixel], test.inside >> lane & 1, test.low[lane], high[pixel],
-                              grid.columns64.data[column0 + pixel % SIDE], grid.rows64.data[row0 + pixel / SIDE]))
+                              rays.columns.data[column0 + pixel % SIDE], rays.rows.data[row0 + pixel / SIDE]))
                     continue;
                 best[pixel] = triangle;
                 low[pixel] = test.low[lane];
@@ -88,16 +89,15 @@ struct Tiles16 : Hit {
         for (int r = 0; r < rows; ++r) {
             const int* id = best + SIDE * r;
             for (int c = 0; c < SIDE; ++c)
-                DepthPlane::direction(grid, grid.columns64.data[column0 + c], grid.rows64.data[row0 + r], way + c,
-                                      SIDE);
+                DepthPlane::direction(rays, rays.columns.data[column0 + c], rays.rows.data[row0 + r], way + c, SIDE);
             for (int c = 0; c < SIDE; ++c)
                 for (int k = 0; k < PLANE_COLUMNS; ++k)
-                    plane[SIDE * k + c] = scene.planes.data[PLANE_COLUMNS * (size_t)(id[c] < 0 ? 0 : id[c]) + k];
+                    plane[SIDE * k + c] = seen.planes.data[PLANE_COLUMNS * (size_t)(id[c] < 0 ? 0 : id[c]) + k];
             for (int c = 0; c < SIDE; ++c) {
                 const float t = DepthPlane::measured(DepthPlane::depth(plane + c, way + c, SIDE));
                 depth[c] = id[c] < 0 ? __builtin_nanf("") : t;
             }
-            const size_t at = (size_t)(row0 + r) * grid.width + column0;
+            const size_t at = (size_t)(row0 + r) * grid.rays.width + column0;
             memcpy(image.depth.data + at, depth, sizeof(float) * columns);
             memcpy(image.triangle.data + at, id, sizeof(int) * columns);
         }
@@ -113,7 +113,7 @@ struct Tiles16 : Hit {
                 it.visit(scene.lists.data[k]);
             for (int k = scene.starts.data[coarse]; k < scene.starts.data[coarse + 1]; ++k) {
                 const int triangle = scene.lists.data[k];
-                if (Cover::tile_may_meet(triangle, tile_x, tile_y, grid, scene.records))
+                if (Cover::tile_may_meet(triangle, tile_x, tile_y, grid, scene.seen.records))
                     it.visit(triangle);
             }
             it.write();

@@ -46,6 +46,7 @@ struct Walk1 {
                 if (query.visit(triangle))
                     return;
             }
+            segment.shorten(query, structure.box);
             const int axis = next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);
             if (!(next[axis] <= segment.longest))
                 return;

@@ -13,7 +13,8 @@ computes where a ray leaves a cell from the cell's number: the plane within 3 u,
 2.0002, within 3 u relative, so that a ray is within 9.1 u of the cell it is said to be in when it leaves it, and after.
 In the first cell it is within 6.1 u. Whatever the walk calls a cell is therefore a cell that the ray, which is within
 5 u of the exact one, passes through or passes by closer than 15 u; a triangle that the exact ray meets there has that
-cell among its own. A ray that has left the grid is farther than 40 u from all triangles.
+cell among its own. A ray that has left the grid is farther than 40 u from all triangles. A walk ends in
+a cell that the ray is said to leave behind its end, so it has been in whatever it calls the cell of a point before.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.segment import OUTSIDE, SceneBox, scene_box, triangle_boxes
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
 from shadow_tracer.scene.checks import FloatArray
 
 _CELLS_PER_TRIANGLE = 2
@@ -148,7 +150,7 @@ def enter_cells(
 class UniformGrid(Walker):
     """The ``uniform_grid`` pipeline."""
 
-    walk = Walk("accelerators/uniform_grid/cells.h", Structure)
+    walk = Walk("accelerators/uniform_grid/cells.h", Structure, queries=(ANY_HIT, CLOSEST))
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)

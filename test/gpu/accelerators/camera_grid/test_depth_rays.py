@@ -10,29 +10,9 @@ from typing import Any
 import numpy as np
 import probe
 import pytest
-from depth_views import BOUNDS, VIEWS, check, generator, same, scene_of
+from depth_views import BOUNDS, VIEWS, check, generator, lens, same, scene_of
 
 from shadow_tracer import Bias, Bounds, Camera, DepthCamera, PointLight, ShadowTracer, State, render_depth
-
-_AZURE = (5.7, 3.6, 1e-4, -5e-5, 0.19, 6.0, 5.4, 1.0)
-
-
-def lens(kind: str, camera: Camera) -> Camera:
-    """Another lens before a pinhole."""
-    width, height, f, pose = camera.width, camera.height, camera.fx, camera.camera_to_world
-    optics = width, height, f, f, width / 2, height / 2
-    if kind == "rational":
-        return Camera.distorted(*optics, "rational_polynomial", _AZURE, pose)
-    if kind == "fisheye":  # its corners look to the side and behind
-        return Camera.distorted(
-            width, height, 0.25 * width, 0.25 * width, *optics[4:], "equidistant", (0, 0, 0, 0), pose
-        )
-    rng = generator(6)
-    rays = rng.uniform(-1.0, 1.0, (height, width, 2)) * (6.0 if kind == "wild" else 0.3)
-    if kind == "wild":  # in no order, some without, and some far outside of what the tiles of the grid are made for
-        rays[rng.random(rays.shape[:2]) < 0.1] = np.nan
-        rays[rng.random(rays.shape[:2]) < 0.1] *= 1e3
-    return replace(camera, rays=rays)
 
 
 @pytest.mark.slow

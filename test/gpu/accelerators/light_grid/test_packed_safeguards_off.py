@@ -134,7 +134,7 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("mutant", _MUTANTS)
 def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels: Path) -> None:
     tests, some, changes = _MUTANTS[mutant]
-    failed = failing_tests(changes, f"light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
+    failed = failing_tests(changes, f"accelerators/light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
     if tests != _CANDIDATES:  # which only the wide form has
         assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"

@@ -1,6 +1,6 @@
 // needs: exact/arithmetic.h exact/canonical.h
 // constants: PLANE_COLUMNS
-// arguments: Grid grid
+// arguments: CameraRays rays
 // Depths from a triangle's plane in float64, in the world: t = D / (N . d), kept between the depths of the corners, so
 // that it is sane where the triangle is seen nearly edge-on.
 struct DepthPlane : Arithmetic {
@@ -10,7 +10,7 @@ struct DepthPlane : Arithmetic {
     static inline double along(double n0, double n1, double n2, double x, double y, double z) {
         return add(add(mul(n0, x), mul(n1, y)), mul(n2, z));
     }
-    static inline void make(const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c, const Grid& grid,
+    static inline void make(const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c, const CameraRays& rays,
                             double* plane) {
         wp::vec3d v[3] = { a, b, c };
         Canonical::sort(v);
@@ -26,9 +26,9 @@ struct DepthPlane : Arithmetic {
         plane[1] = n1;
         plane[2] = n2;
         for (int k = 0; k < 3; ++k) {
-            const double x = sub(v[k][0], grid.position[0]), y = sub(v[k][1], grid.position[1]);
-            const double w = sub(v[k][2], grid.position[2]);
-            z[k] = along(grid.depth_row[0], grid.depth_row[1], grid.depth_row[2], x, y, w);
+            const double x = sub(v[k][0], rays.position[0]), y = sub(v[k][1], rays.position[1]);
+            const double w = sub(v[k][2], rays.position[2]);
+            z[k] = along(rays.depth_row[0], rays.depth_row[1], rays.depth_row[2], x, y, w);
             if (k == 0)
                 plane[OFFSET] = along(n0, n1, n2, x, y, w);
         }
@@ -38,9 +38,9 @@ struct DepthPlane : Arithmetic {
         plane[FARTHEST] = high > z[2] ? high : z[2];
     }
     // d of the ray through (x, y, 1), one number every `stride`.
-    static inline void direction(const Grid& grid, double x, double y, double* d, int stride) {
+    static inline void direction(const CameraRays& rays, double x, double y, double* d, int stride) {
         for (int k = 0; k < 3; ++k)
-            d[k * stride] = add(add(mul(grid.right[k], x), mul(grid.down[k], y)), grid.forward[k]);
+            d[k * stride] = add(add(mul(rays.right[k], x), mul(rays.down[k], y)), rays.forward[k]);
     }
     // Depth of a hit; NaN becomes the nearest corner's. Plane and d have one number every `stride`.
     static inline double depth(const double* plane, const double* d, int stride) {
@@ -55,10 +55,10 @@ struct DepthPlane : Arithmetic {
         t = t > 1.0e-37 ? t : 1.0e-37;
         return (float)(t < 3.0e38 ? t : 3.0e38);
     }
-    static inline float measured_at(int triangle, double x, double y, const Grid& grid,
+    static inline float measured_at(int triangle, double x, double y, const CameraRays& rays,
                                     const wp::array_t<wp::float64>& planes) {
         double d[3];
-        direction(grid, x, y, d, 1);
+        direction(rays, x, y, d, 1);
         return measured(depth(planes.data + PLANE_COLUMNS * (size_t)triangle, d, 1));
     }
 };

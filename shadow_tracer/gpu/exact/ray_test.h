@@ -1,4 +1,4 @@
-// needs: device/lanes.h accelerators/camera_grid/record.h
+// needs: device/lanes.h exact/camera_record.h
 // lanes
 // LANES rays, as (x, -y), against the record of a triangle in float32.
 struct WIDE(RayTest) {

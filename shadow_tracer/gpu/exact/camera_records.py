@@ -34,34 +34,30 @@ native.constants(PLANE_COLUMNS=PLANE_COLUMNS)
 
 
 @wp.struct
-class Grid:
-    """The camera and its perspective grid, as kernels see them."""
+class CameraRays:
+    """The rays of a camera's pixels, as kernels see them."""
 
     width: int
     height: int
-    tile: int  # pixels along a side of a sorting tile
-    group: int  # sorting tiles along a side of a coarse tile
-    tiles_x: int
-    tiles_y: int
-    coarse_x: int
-    coarse_y: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
     position: wp.vec3d
     right: wp.vec3d  # columns of the rotation
     down: wp.vec3d
     forward: wp.vec3d
     depth_row: wp.vec3d  # third row of its inverse
-    columns: wp.array(dtype=float)  # x of each column and -y of each row, up to the end of the last tile
-    rows: wp.array(dtype=float)
-    columns64: wp.array(dtype=wp.float64)  # x and y
-    rows64: wp.array(dtype=wp.float64)
-    # Of a camera with a table of rays the axes are the grid's alone (``rays.py``).
+    columns: wp.array(dtype=wp.float64)  # x of each column and y of each row of a pinhole
+    rows: wp.array(dtype=wp.float64)
     tabled: int
-    table: wp.array(dtype=wp.vec2)  # x and y of each pixel's ray
-    tile_of: wp.array(dtype=int)  # the sorting tile that it lies in, -1 where there is none
+    table: wp.array(dtype=wp.vec2)  # x and y of each pixel of a camera with a table, NaN where there is no ray
+
+
+@wp.struct
+class CameraTriangles:
+    """The triangles of the scene as a camera sees them."""
+
+    vertices: wp.array(dtype=wp.vec3d)
+    triangles: wp.array(dtype=wp.vec3i)
+    records: wp.array2d(dtype=wp.vec4)
+    planes: wp.array2d(dtype=wp.float64)
 
 
 def make_camera_frame(camera: Camera) -> LightFrame:
@@ -81,10 +77,10 @@ def make_camera_frame(camera: Camera) -> LightFrame:
     return frame
 
 
-@native.func_native("accelerators/camera_grid/setup.h", calls="SetUp::of")
+@native.func_native("exact/camera_setup.h", calls="CameraSetUp::of")
 def pack_triangle(
     i: int,
-    grid: Grid,
+    rays: CameraRays,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
     records: wp.array2d(dtype=wp.vec4),
@@ -96,10 +92,10 @@ def pack_triangle(
 
 @wp.kernel(enable_backward=False)
 def pack_triangles(
-    grid: Grid,
+    rays: CameraRays,
     vertices: wp.array(dtype=wp.vec3d),
     triangles: wp.array(dtype=wp.vec3i),
     records: wp.array2d(dtype=wp.vec4),
     planes: wp.array2d(dtype=wp.float64),
 ):
-    pack_triangle(wp.tid(), grid, vertices, triangles, records, planes)
+    pack_triangle(wp.tid(), rays, vertices, triangles, records, planes)

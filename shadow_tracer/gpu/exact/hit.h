@@ -1,19 +1,19 @@
-// needs: exact/determinant.h accelerators/camera_grid/depth_plane.h
+// needs: exact/determinant.h exact/depth_plane.h
 // constants: PLANE_COLUMNS COUNTER_ROWS CAMERA_TESTS CAMERA_RETESTED CAMERA_EXACT CAMERA_COMPARED
-// arguments: Grid grid, Sorted scene
+// arguments: CameraRays rays, CameraTriangles seen
 // What float32 leaves open, in float64: whether a ray meets a triangle, exactly, and which of two triangles is closer.
 struct Hit : Determinant {
-    const Grid& grid;
-    const Sorted& scene;
+    const CameraRays& rays;
+    const CameraTriangles& seen;
     int retested, compared, exact_used; // exact_used: determinants that needed expansion arithmetic
 
-    inline Hit(const Grid& grid, const Sorted& scene)
-        : grid(grid), scene(scene), retested(0), compared(0), exact_used(0) {}
+    inline Hit(const CameraRays& rays, const CameraTriangles& seen)
+        : rays(rays), seen(seen), retested(0), compared(0), exact_used(0) {}
     inline bool meets(int triangle, const double (&d)[3]) {
-        const wp::vec3i& corner = scene.triangles.data[triangle];
-        const wp::vec3d v[3] = { scene.vertices.data[corner[0]], scene.vertices.data[corner[1]],
-                                 scene.vertices.data[corner[2]] };
-        const wp::vec3d o = grid.position;
+        const wp::vec3i& corner = seen.triangles.data[triangle];
+        const wp::vec3d v[3] = { seen.vertices.data[corner[0]], seen.vertices.data[corner[1]],
+                                 seen.vertices.data[corner[2]] };
+        const wp::vec3d o = rays.position;
         int facing = 0;
         // One call in a loop that stays a loop, or compilers inline the expansion arithmetic four times.
 #pragma unroll 1
@@ -31,13 +31,13 @@ struct Hit : Determinant {
         return true;
     }
     inline double depth(int triangle, const double (&d)[3]) const {
-        return DepthPlane::depth(scene.planes.data + PLANE_COLUMNS * (size_t)triangle, d, 1);
+        return DepthPlane::depth(seen.planes.data + PLANE_COLUMNS * (size_t)triangle, d, 1);
     }
     // Whether the ray through (x, y, 1) meets a triangle, and before `other`, -1 for none. What float32 knows: inside,
     // whether it surely does; low, the least inverse depth of the triangle; most, the largest of the other.
     inline bool replaces(int triangle, int other, bool inside, float low, float most, double x, double y) {
         double d[3];
-        DepthPlane::direction(grid, x, y, d, 1);
+        DepthPlane::direction(rays, x, y, d, 1);
         if (!inside) {
             ++retested;
             if (!meets(triangle, d))
