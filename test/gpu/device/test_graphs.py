@@ -145,3 +145,25 @@ def test_overflow_after_a_replay(way: tuple[str, str], any_device: str, capacity
         for each in (tracer, oracle):
             each.scene.put("ball", vertices * (1.0 + 0.01 * step), triangles)
         assert np.array_equal(tracer.occluded(points, lamp), oracle.occluded(points, lamp))
+
+
+@_ways
+def test_a_frame_with_a_full_queue_is_recorded(way: tuple[str, str], any_device: str) -> None:
+    """The queue of one place overflows in every frame; all frames but the first two are replays of one recording, and
+    none needs a further pass by the host."""
+    bounds = Bounds(max_triangles=100, max_rays=64, max_lights=1, queue_capacity=1)
+    tracer = ShadowTracer(*way, device=any_device, bounds=bounds, graphs=True)
+    oracle = ShadowTracer("brute_force", "float64", device=any_device, bounds=bounds)
+    vertices, triangles = geometry.icosphere(1, 1.0, (0.0, 0.0, 3.0))
+    lamp = PointLight("lamp", (0.3, -2.0, 0.5))
+    for step in range(6):
+        ball = vertices * (1.0 + 0.01 * step)
+        for each in (tracer, oracle):
+            each.scene.put("ball", ball, triangles)
+        points = ball[triangles].mean(axis=1)[:64]
+        traced = probe.trace_points(tracer, points, [lamp])
+        assert np.array_equal(traced.states, probe.trace_points(oracle, points, [lamp]).states)
+        queues = not probe.wide(any_device)
+        assert traced.counters["overflow_passes"] == int(queues)
+        assert traced.counters["peak_queue"] == int(queues)
+    assert probe.recordings(tracer) == 1
