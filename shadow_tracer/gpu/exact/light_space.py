@@ -70,12 +70,18 @@ def ray_depth(space: LightSpace, ray: wp.vec4, inverse_norm: float) -> float:
     ...
 
 
-@wp.func
+@wp.func_native(
+    native.snippet(
+        "exact/planes.h",
+        call="""
+    float p[4];
+    Planes1::own(plane[0], plane[1], plane[2], plane[3], space, p);
+    return wp::vec4(p[0], p[1], p[2], p[3]);""",
+    )
+)
 def plane_of(space: LightSpace, plane: wp.vec4) -> wp.vec4:
     """P of a record's last row (N, D)."""
-    if space.inverse != 0:
-        return wp.vec4(plane[0], plane[1], -plane[2], wp.min(space.c * plane[2] - plane[3], 0.0))
-    return wp.vec4(plane[0], plane[1], -plane[3], wp.min(plane[2] - space.s * plane[3], 0.0))
+    ...
 
 
 @native.func_native("exact/light_space.h", calls="LightDepth1::magnitude")
@@ -84,17 +90,17 @@ def magnitude_bound(nearest: float, farthest: float) -> float:
     ...
 
 
-@wp.func
+@wp.func_native(native.snippet("exact/pads.h", call="return Pads1::edge(edge_error) * magnitude;"))
 def edge_pad(edge_error: float, magnitude: float) -> float:
     """How far below zero n.e may be computed for a node although a ray in it is inside the edge; ``edge_error`` is
     s_e of the record."""
-    return 2.0 * edge_error * magnitude
+    ...
 
 
-@wp.func
+@wp.func_native(native.snippet("exact/pads.h", call="return Pads1::plane(slope_error, offset_error) * magnitude;"))
 def plane_pad(slope_error: float, offset_error: float, magnitude: float) -> float:
     """The same for P . (e, t); the errors are s_N and s_D of the record."""
-    return 7.0 * (slope_error + offset_error) * magnitude
+    ...
 
 
 # A ray's coordinates over the largest of its direction, beyond which the direction is lost in roundings

@@ -1,4 +1,4 @@
-// needs: device/lanes.h
+// needs: exact/pads.h
 // lanes
 // arguments: LightSpace space
 // The four planes of triangles over light space, LANES at a time, from their records; light_space.py derives P and the
@@ -38,13 +38,17 @@ struct WIDE(Planes) {
         for (int k = 0; k < 3; ++k)
             for (int i = 0; i < 3; ++i)
                 n[k][i] = row[4 * k + i];
+        own(row[12], row[13], row[14], row[15], space, p);
+        edge = WIDE(Pads)::edge(row[3]);
+        plane = WIDE(Pads)::plane(row[7], row[11]);
+    }
+    // P of a record's own plane, (N, D).
+    static inline void own(REAL u, REAL v, REAL z, REAL offset, const LightSpace& space, REAL (&p)[4]) {
         const bool inverse = space.inverse != 0;
-        const REAL none = 0.0f, slope = inverse ? space.c * row[14] - row[15] : row[14] - space.s * row[15];
-        p[0] = row[12];
-        p[1] = row[13];
-        p[2] = inverse ? -row[14] : -row[15];
+        const REAL none = 0.0f, slope = inverse ? space.c * z - offset : z - space.s * offset;
+        p[0] = u;
+        p[1] = v;
+        p[2] = inverse ? -z : -offset;
         p[3] = slope < none ? slope : none;
-        edge = 2.0f * row[3];
-        plane = 7.0f * (row[7] + row[11]);
     }
 };

@@ -44,8 +44,8 @@ _MUTANTS = {
     "no pads": (
         _TREE + "test_box_nodes.py",
         [
-            ("exact/planes.h", "edge = 2.0f * row[3];", "edge = 0.0f;"),
-            ("exact/planes.h", "plane = 7.0f * (row[7] + row[11]);", "plane = 0.0f;"),
+            ("exact/pads.h", "return 2.0f * error;", "return 0.0f * error;"),
+            ("exact/pads.h", "return 7.0f * (slope + offset);", "return 0.0f * slope;"),
             (_TREE + "boxes.py", "_PAD = 2.0**-21", "_PAD = 0.0"),
         ],
     ),

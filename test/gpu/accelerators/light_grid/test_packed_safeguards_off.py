@@ -56,12 +56,12 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "edges without pads": (
         _BOXES,
         "beside",
-        [("exact/planes.h", "edge = 2.0f * row[3];", "edge = 0.0f;")],
+        [("exact/pads.h", "return 2.0f * error;", "return 0.0f * error;")],
     ),
     "planes without pads": (
         _BOXES,
         "vast-0",
-        [("exact/planes.h", "plane = 7.0f * (row[7] + row[11]);", "plane = 0.0f;")],
+        [("exact/pads.h", "return 7.0f * (slope + offset);", "return 0.0f * slope;")],
     ),
     "bounds without pads": (
         _BOXES,
