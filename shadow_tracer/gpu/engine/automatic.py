@@ -10,7 +10,7 @@ Each candidate has a rough law of its cost: for n rays, T triangles and L lights
 The law is multiplied by a factor that is learned: for each kind of frame (what has changed, and n, T and L to a power
 of two) the ratio of measured and lawful cost, a running mean over the frames that the candidate traced; for a kind of
 which it has traced none, the factor of the nearest kind it has; before any, that of :meth:`Chooser.calibrated`, or 1.
-The least expected cost wins, and the winner stays in office until another is expected to take 15 percent less: changing
+The least expected cost wins; the current pipeline is kept until another is expected to take 15 percent less: changing
 costs a frame in which things are made anew. A candidate that is better than thought would never show it, so a near
 second is tried now and then, for two frames.
 
@@ -95,7 +95,7 @@ class Chooser:
 
     @property
     def chosen(self) -> Names:
-        """The one in office."""
+        """The current pipeline."""
         return self._chosen
 
     @property
