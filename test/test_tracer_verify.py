@@ -289,7 +289,8 @@ def test_auto_verifies_nobody_and_nobody_it_may_choose_verifies_it(names: str, a
     if names == "auto":
         for against in ("mesh_bvh", "light_grid", "brute_force"):
             with pytest.raises(
-                ValueError, match=f"^against: expected one of cone_hierarchy, uniform_grid, got '{against}'"
+                ValueError,
+                match=f"^against: expected one of cone_hierarchy, uniform_grid, hierarchical_grid, got '{against}'",
             ):
                 tracer.prepare_verify(against)
         assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.verifier == "cone_hierarchy"
@@ -346,7 +347,8 @@ def test_errors_name_the_argument(any_device: str) -> None:
             lambda name: tracer.prepare_verify(name),
         ):
             with pytest.raises(
-                ValueError, match="^against: expected one of cone_hierarchy, mesh_bvh, uniform_grid, brute_force,"
+                ValueError,
+                match="^against: expected one of cone_hierarchy, mesh_bvh, uniform_grid, hierarchical_grid, brute_force,",
             ):
                 call(against)
     for field, change in (

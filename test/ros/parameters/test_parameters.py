@@ -33,7 +33,8 @@ BAD = [
     (
         "pipeline",
         "cone",
-        "pipeline: expected string (light_grid, cone_hierarchy, mesh_bvh, uniform_grid, brute_force, auto), got 'cone'",
+        "pipeline: expected string (light_grid, cone_hierarchy, mesh_bvh, uniform_grid, hierarchical_grid, brute_force, "
+        "auto), got 'cone'",
     ),
     ("pipeline", 3, "pipeline: expected string"),
     ("variant", "fast", "variant: expected string"),
