@@ -2,20 +2,21 @@
 """A grid over the scene whose dense cells hold grids of their own, as may the dense cells of these (Jevans and Wyvill
 1989: "Adaptive voxel subdivision for ray tracing"), each walked cell by cell (Amanatides and Woo 1987), with mailboxes.
 
-The grid of the scene has about twice as many cells as there are triangles. A cell with more than eight triangles gets
-a grid of about three cells for each, as near to cubes as may be, and so do the cells of that. A triangle is a member of
-every cell without a grid that its padded box touches, if it touches the cells that this one lies in, too. All grids are
-built again whenever the scene changes, depth by depth: triangles are counted by cell, dense cells are found, grids are
-planned, their memberships, cells and numbers summed up, for the finest grids and, if these do not fit, for coarser
-ones; those that fit are made. At last counts are scanned and numbers scattered. Where not even the coarsest fit, there
-are none; the grid of the scene always fits, as it does in ``uniform_grid``. Which it is, is decided on the device.
+The grid of the scene has about twice as many cells as there are triangles. A cell with more than eight triangles gets a
+grid of about three cells for each, as near to cubes as may be, and so do the cells of that: three depths. A triangle is
+a member of every cell without a grid that its padded box touches, if it touches the cells that this one lies in, too.
+All grids are built again whenever the scene changes, depth by depth: triangles are counted by cell, dense cells are
+found, grids are planned, their memberships, cells and numbers summed up, for the finest grids and, if these do not fit,
+for coarser ones; those that fit are made. At last counts are scanned and numbers scattered. Where not even the coarsest
+fit, there are none; the grid of the scene always fits, as it does in ``uniform_grid``. Which it is, is decided on the
+device.
 
 Why no triangle can be missed. In units of the scene's extent E, u = 2^-24. A grid has cells from low + i size to low +
 (i + 1) size, exactly, low and size being what is stored. All memberships are computed in float64 from these and from
 boxes padded by 32 u (``segment.py``), and cells at the border of a grid have what lies beyond as well. So it is enough
 that, wherever the exact ray meets a triangle, the walk is in a cell that is closer than 32 u, and in one such cell of
 each grid above it: the triangle is a member of all these. Let the ray be the one from the stored start along the stored
-direction, which is within 5 u of the exact one, to ``longest``, which is not before its end.
+direction, which is within 5 u of the exact one, up to where that ends or leaves the box; ``longest`` is not before.
 
 *Nothing of the ray is left out.* A walk through a grid knows ``now``, from where on, and ``until``; it is in one cell
 between two steps, steps are made at numbers that do not decrease, and it ends when the next one is after ``until``, not
@@ -36,12 +37,13 @@ the border becomes the nearest one; then the ray may be as far from that cell as
 the number of cells makes 2.1 u at most: a grid's sides are within 3.1 u of those of its cell.
 
 Together, along each axis: while the walk is in a cell of the scene's grid, the ray is within 9.1 u of it, as it is at
-both ends of the time. (Cells at the border are left to no side, but there the ray is within the box.) It is then within
-12.2 u of the grid in that cell; in a cell of that grid it is within 9.1 u of a side that it has come through or will
-leave through, and within 12.2 u of one at the border: within 12.2 u. Within a cell at the third depth it is within
-15.3 u. With the 5 u of the ray that is 20.3 u, less than 32.
+both ends of that time. (Cells at the border have no plane on one side, but there the ray is within the box.) It is then
+within 12.2 u of the grid in that cell; in a cell of that grid it is within 9.1 u of a side that it has come through or
+will leave through, and within 12.2 u of one at the border: within 12.2 u. In a cell at the third depth it is within
+15.3 u in the same way. With the 5 u of the ray that is 20.3 u, less than 32.
 
-Cells are 2^-16 wide at least unless a whole axis has only one, so that no rounding changes the order of planes.
+Cells within cells are 2^-16 wide at least, unless an axis has only one: narrower ones would tell triangles apart no
+better, as each spans 64 u of padding.
 """
 
 from __future__ import annotations

@@ -273,13 +273,16 @@ def test_unlike_frames(any_device: str) -> None:
         {"clusters": clusters, "ball": ball},
         {"ball": ball},
         {},
+        {"soup": soup},
         {"soup": soup, "clusters": clusters, "ball": ball},
+        {"clusters": clusters, "ball": ball},
         {"soup": soup, "ball": ball},
         {"soup": soup},
         {"clusters": clusters},
         {"dot": (ball[0] * 1e-3, ball[1])},
         {"soup": soup, "clusters": clusters},
     ]
+    gaps = False
     for parts in frames:
         for each in (tracer, oracle):
             for name in ("clusters", "ball", "soup", "dot"):
@@ -288,3 +291,11 @@ def test_unlike_frames(any_device: str) -> None:
                 elif name in each.scene:
                     each.scene.remove(name)
         assert np.array_equal(tracer.occluded(points, _LAMP), oracle.occluded(points, _LAMP))
+        if parts:
+            tree = Tree(tracer)
+            held = set().union(
+                *(tree.triangles(cell) for grids in tree.depths for grid in grids for cell in grid.cells)
+            )
+            assert len(held) == sum(len(triangles) for _, triangles in parts.values()), "those of gaps are in no cell"
+            gaps |= max(held) >= len(held)
+    assert gaps, "no scene has one"

@@ -15,27 +15,45 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         "tiny",
         [("accelerators/segment.py", "padding = wp.float64(PADDING)", "padding = wp.float64(0.0)")],
     ),
-    "a mailbox of another triangle": ("mailboxes", [(_WALK, "box == triangle", "box >= 0")]),
+    "a mailbox of another triangle": ("short_list", [(_WALK, "box == triangle", "box >= 0")]),
     "no mailboxes": ("mailboxes", [(_WALK, "box == triangle", "false")]),
     "a grid left before its cell is": (
         "planes",
         [(_WALK, "at.next[axis] < at.until ? at.next[axis] : at.until", "0.9f * at.next[axis]")],
     ),
     "an end before the light": ("planes", [(_WALK, "enter(0, segment.longest)", "enter(0, 0.5f * segment.longest)")]),
-    "grids entered where the ray began": (
-        "tiny",
-        [(_WALK, "segment.origin[k] + now * segment.direction[k]", "segment.origin[k]")],
+    "grids entered where their cell is left": (
+        "planes",
+        [(_WALK, "segment.origin[k] + now * segment.direction[k]", "segment.origin[k] + until * segment.direction[k]")],
+    ),
+    "grids left through their border": (
+        "planes",
+        [
+            (_WALK, "if (side == 0 || side == shape.count[k])", "if (false)"),
+            (
+                _WALK,
+                "while (!(at.next[axis] <= at.until)) {",
+                "while (!(at.next[axis] <= at.until) || at.cell[axis] + turn[axis] < 0 ||\n"
+                "       at.cell[axis] + turn[axis] >= structure.grids.data[at.grid].shape.count[axis]) {",
+            ),
+        ],
+    ),
+    "a grid lies in the neighbour of its cell": (
+        "planes",
+        [
+            (
+                _NESTING,
+                "wp.float64(at[k]) * wp.float64(outer.size[k])",
+                "wp.float64(at[k] + 1) * wp.float64(outer.size[k])",
+            )
+        ],
     ),
     "samples of any distance": ("far_away", [("accelerators/segment.h", "!(fabs(start[k]) <= FAR_AWAY)", "false")]),
     "members of the first cell alone": (
         "members",
         [(_NESTING, "range(int(number_of(few)))", "range(int(wp.min(number_of(few), wp.int64(1))))")],
     ),
-    "grids that do not fit": (
-        "few",
-        [(_NESTING, "grids <= wp.int64(tree.grids.shape[0])", "grids <= wp.int64(tree.grids.shape[0] + 1000)")],
-    ),
-    "a gap's triangles are members": (
+    "triangles of gaps are members": (
         "unlike",
         [("accelerators/cells.py", "if lower[0] >= OUTSIDE:", "if lower[0] >= 2.0:")],
     ),
