@@ -131,7 +131,7 @@ class HierarchicalGrid(Walker):
         wp.launch(nesting.find_dense, dim=room, inputs=[depth, self._begins, plan, tree], device=device)
         boxes = [self._lowers, self._uppers]
         some = room * (depth + 1) // DEPTHS  # what lies deeper is to find room
-        for first, last in ((0, 1), (1, int(STEPS))):  # the coarser ones are counted if the finest do not fit
+        for first, last in ((0, 1), (1, 3), (3, int(STEPS))):  # coarser ones are counted where finer ones do not fit
             inputs = [*boxes, depth, first, plan, tree]
             wp.launch(nesting.count_needed, dim=(last - first, count), inputs=inputs, device=device)
             wp.launch(nesting.choose_step, dim=1, inputs=[depth, some, first, last, plan, tree], device=device)

@@ -212,7 +212,7 @@ def count_needed(
     step, i = wp.tid()
     step += first
     if first > 0 and plan.step[0] < STEPS:
-        return  # the finest grids fit
+        return  # finer grids fit
     lower, upper = lowers[i], uppers[i]
     count = wp.int64(0)
     outer = tree.grids[0]
