@@ -71,6 +71,14 @@ EXCEPTIONS = {
     "accelerators.uniform_grid.uniform_grid.any_hit/walk_cells_any_hit_1": Budget(
         66, 208, reason="sixteen mailboxes, and a step along any axis"
     ),
+    "accelerators.hierarchical_grid.nesting.any_hit/walk_nested_cells_any_hit_1": Budget(
+        64, 288, reason="sixteen mailboxes, and a place in each of three grids"
+    ),
+    "accelerators.hierarchical_grid.nesting/choose_step": Budget(184, reason="one thread adds up rows"),
+    "accelerators.hierarchical_grid.nesting/count_needed": Budget(
+        112, reason="float64: a triangle's cells in two grids, and in the one that is planned"
+    ),
+    "accelerators.hierarchical_grid.nesting/enter_cells": Budget(80, reason="a triangle's cells in three grids"),
     # Float64 per pixel.
     "samples.rays/project_samples": Budget(96, reason="float64: a light's frame and the sample in it"),
     "samples.pixels/unproject": Budget(80, reason="float64: the camera's pose and the sample"),

@@ -290,6 +290,6 @@ def loaded(tracer: ShadowTracer) -> set[Any]:
 def _forget(share: Any) -> None:
     if share._kept is not None:
         share._kept.forget()
-    tree = getattr(share.pipeline, "_tree", None)  # of mesh_bvh: what hid each ray last
-    if tree is not None:
-        tree.hints.zero_()
+    hints = getattr(getattr(share.pipeline, "_tree", None), "hints", None)  # of mesh_bvh: what hid each ray last
+    if hints is not None:
+        hints.zero_()

@@ -70,6 +70,10 @@ REGISTRY: dict[str, PipelineEntry] = {
         "a grid of equal cells over the triangles, rays step from cell to cell",
         {"dda": "uniform_grid.uniform_grid:UniformGrid"},
     ),
+    "hierarchical_grid": PipelineEntry(
+        "a grid over the triangles whose dense cells hold grids, rays step from cell to cell",
+        {"nested": "hierarchical_grid.hierarchical_grid:HierarchicalGrid"},
+    ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
         dict.fromkeys(("filtered", "float64"), _BRUTE_FORCE),

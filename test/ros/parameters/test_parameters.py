@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadow_tracer import Bias, Bounds, DirectionalLight, PointLight, SpotLight
+from shadow_tracer import Bias, Bounds, DirectionalLight, PointLight, SpotLight, available_pipelines
 from shadow_tracer.ros.parameters import parameters
 from shadow_tracer.ros.parameters.former_names import renamed
 from shadow_tracer.ros.parameters.parameters import ParameterError, problems_in, settings_from, unknown_names
@@ -33,7 +33,7 @@ BAD = [
     (
         "pipeline",
         "cone",
-        "pipeline: expected string (light_grid, cone_hierarchy, mesh_bvh, uniform_grid, brute_force, auto), got 'cone'",
+        f"pipeline: expected string ({', '.join(available_pipelines())}), got 'cone'",
     ),
     ("pipeline", 3, "pipeline: expected string"),
     ("variant", "fast", "variant: expected string"),

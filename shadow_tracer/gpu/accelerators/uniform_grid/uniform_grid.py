@@ -22,27 +22,23 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.cells import (
+    LEVELS,
+    ROWS,
+    Shape,
+    cells_along,
+    cells_of,
+    count_memberships,
+    level_that_fits,
+    shape_of,
+)
 from shadow_tracer.gpu.accelerators.interface import Context
-from shadow_tracer.gpu.accelerators.segment import OUTSIDE, SceneBox, scene_box, triangle_boxes
+from shadow_tracer.gpu.accelerators.segment import SceneBox, scene_box, triangle_boxes
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
-from shadow_tracer.scene.checks import FloatArray
 
 _CELLS_PER_TRIANGLE = 2
 _MOST_CELLS = 2**22
-_MOST_ALONG = 256  # an axis
-_LEVELS = wp.constant(9)  # 256 to 1 cells along an axis
-_ROWS = wp.constant(64)  # that threads spread their counts over
-
-
-@wp.struct
-class Shape:
-    """Cells along each axis, the low corner of the first, their size, and how many there are per unit."""
-
-    count: wp.vec3i
-    low: wp.vec3
-    size: wp.vec3
-    per_unit: wp.vec3
 
 
 @wp.struct
@@ -55,58 +51,6 @@ class Structure:
     members: wp.array(dtype=int)
 
 
-@wp.struct
-class Cells:
-    """From the first to the last along each axis; none if a last one is before the first."""
-
-    first: wp.vec3i
-    last: wp.vec3i
-
-
-@wp.func
-def shape_of(box: SceneBox, finest: wp.vec3i, level: int) -> Shape:
-    """The shape of the grid with the cells along each axis halved ``level`` times."""
-    shape = Shape()
-    for k in range(3):
-        shape.count[k] = wp.max(finest[k] >> level, 1)
-        shape.low[k] = -float(box.half[k])
-        shape.size[k] = 2.0 * float(box.half[k]) / float(shape.count[k])
-        shape.per_unit[k] = 1.0 / shape.size[k]
-    return shape
-
-
-@wp.func
-def cells_of(shape: Shape, lower: wp.vec3, upper: wp.vec3) -> Cells:
-    """The cells that a box touches; none if it is one that holds nothing."""
-    cells = Cells()
-    for k in range(3):
-        low = wp.float64(shape.low[k])
-        size = wp.float64(shape.size[k])
-        last = wp.float64(shape.count[k] - 1)
-        cells.first[k] = int(wp.clamp(wp.floor((wp.float64(lower[k]) - low) / size), wp.float64(0.0), last))
-        cells.last[k] = int(wp.clamp(wp.floor((wp.float64(upper[k]) - low) / size), wp.float64(0.0), last))
-    if lower[0] >= OUTSIDE:
-        cells.last[0] = cells.first[0] - 1
-    return cells
-
-
-@wp.kernel(enable_backward=False)
-def count_memberships(
-    box: SceneBox,
-    finest: wp.vec3i,
-    lowers: wp.array(dtype=wp.vec3),
-    uppers: wp.array(dtype=wp.vec3),
-    needed: wp.array2d(dtype=wp.int64),
-):
-    """How many there are at each level. One thread per level and triangle."""
-    level, i = wp.tid()
-    cells = cells_of(shape_of(box, finest, level), lowers[i], uppers[i])
-    count = wp.int64(1)
-    for k in range(3):
-        count *= wp.int64(cells.last[k] - cells.first[k] + 1)
-    wp.atomic_add(needed, i & (_ROWS - 1), level, count)
-
-
 @wp.kernel(enable_backward=False)
 def choose_shape(
     box: SceneBox,
@@ -116,15 +60,7 @@ def choose_shape(
     shape: wp.array(dtype=Shape),
 ):
     """The finest one whose memberships fit. One thread."""
-    level = int(-1)
-    fits = bool(False)
-    while not fits and level + 1 < _LEVELS:
-        level += 1
-        total = wp.int64(0)
-        for row in range(_ROWS):
-            total += needed[row, level]
-        fits = total <= capacity
-    shape[0] = shape_of(box, finest, level)
+    shape[0] = shape_of(box, finest, level_that_fits(needed, capacity))
 
 
 @wp.kernel(enable_backward=False)
@@ -159,7 +95,7 @@ class UniformGrid(Walker):
         self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
         self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
         self._most_cells = min(_CELLS_PER_TRIANGLE * triangles, _MOST_CELLS)
-        self._needed = wp.zeros((int(_ROWS), int(_LEVELS)), dtype=wp.int64, device=device)
+        self._needed = wp.zeros((int(ROWS), int(LEVELS)), dtype=wp.int64, device=device)
         self._begins = wp.empty(self._most_cells + 1, dtype=int, device=device)
         self._no_members = wp.empty(0, dtype=int, device=device)
         self._grid = Structure()
@@ -181,7 +117,7 @@ class UniformGrid(Walker):
         inputs = [0, count, grid.box, scene.vertices, scene.triangles, *boxes]
         wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
         inputs = [grid.box, finest, *boxes, self._needed]
-        wp.launch(count_memberships, dim=(int(_LEVELS), count), inputs=inputs, device=device)
+        wp.launch(count_memberships, dim=(int(LEVELS), count), inputs=inputs, device=device)
         capacity = wp.int64(grid.members.shape[0])
         wp.launch(choose_shape, dim=1, inputs=[grid.box, finest, capacity, self._needed, grid.shape], device=device)
         inputs = [grid.shape, *boxes, begins]
@@ -196,14 +132,3 @@ class UniformGrid(Walker):
         grid = self._grid
         arrays = (self._lowers, self._uppers, self._needed, self._begins, grid.shape, grid.start, grid.members)
         return sum(int(array.capacity) for array in arrays)
-
-
-def cells_along(half: FloatArray, most: int) -> tuple[int, int, int]:
-    """Cells along each axis of a box of this half size: as near to cubes as may be, at most ``most``."""
-    low, high = 0.0, 4.0 * float(half.max())  # a size that makes too many of them, and one that does not
-    for _ in range(60):
-        size = 0.5 * (low + high)
-        enough = np.clip(2.0 * half / max(size, 1e-300), 1, _MOST_ALONG).astype(int).prod() > most
-        low, high = (size, high) if enough else (low, size)
-    x, y, z = (int(n) for n in np.clip(2.0 * half / max(high, 1e-300), 1, _MOST_ALONG))
-    return x, y, z

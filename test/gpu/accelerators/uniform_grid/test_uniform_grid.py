@@ -12,7 +12,7 @@ import probe
 import pytest
 
 from shadow_tracer import Bounds, DirectionalLight, PointLight, ShadowTracer
-from shadow_tracer.gpu.accelerators.uniform_grid.uniform_grid import cells_along
+from shadow_tracer.gpu.accelerators.cells import cells_along
 
 pytestmark = probe.in_both_forms
 
