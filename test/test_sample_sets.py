@@ -42,6 +42,7 @@ def _states(frame: Any) -> np.ndarray:
     return np.stack([frame.state(light.name) for light in _LIGHTS])
 
 
+@pytest.mark.slow
 def test_cameras_in_turn_give_what_each_gives_alone(tracer_case: tuple[str, str, str]) -> None:
     """Frames of two cameras and points in turn, while the scene, the lights and the images change or rest."""
     device, pipeline, variant = tracer_case
