@@ -8,7 +8,6 @@ masks were compared, every one of them, outside the clock.
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import pickle
 import sys
@@ -27,7 +26,7 @@ import procedural
 import warp as wp
 from case import Case, hidden
 from gpu_peers import PEERS, Peer
-from kernel_resources import modules
+from kernel_resources import modules, warp_module
 from scenes import View
 
 from shadow_tracer import ShadowTracer
@@ -309,13 +308,11 @@ def load_modules(device: Any) -> Iterator[dict[str, Any]]:
     for name in modules():
         begin = time.perf_counter()
         try:
-            module = importlib.import_module(f"shadow_tracer.gpu.{name}")
-            wp.load_module(module, device=device)
+            module = warp_module(name)
+            module.load(device)
             row: dict[str, Any] = {"module": name, "seconds": time.perf_counter() - begin}
             if device.is_cuda:
-                kernels = [
-                    each for each in vars(module).values() if isinstance(each, wp.Kernel) and not each.is_generic
-                ]
+                kernels = [each for each in module.kernels.values() if not each.is_generic]
                 row["kernels"] = {each.key: wp.get_cuda_kernel_properties(each, device) for each in kernels}
         except Exception:
             row = {"module": name, "failure": traceback.format_exc()[-1500:]}

@@ -16,6 +16,7 @@ import tempfile
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -76,6 +77,17 @@ def modules() -> list[str]:
     return found
 
 
+def warp_module(name: str) -> Any:
+    """Warp's module of kernels, by its name in ``modules()``."""
+    import warp as wp
+
+    try:
+        import_module(f"shadow_tracer.gpu.{name}")
+    except ModuleNotFoundError:  # of a walk
+        import_module(f"shadow_tracer.gpu.{name.rpartition('.')[0]}")
+    return wp.get_module(f"shadow_tracer.gpu.{name}")
+
+
 def compile_module(name: str, folder: Path) -> Path:
     """Compile a module for sm_90 into the empty ``folder``; returns the file of machine code.
 
@@ -87,12 +99,7 @@ def compile_module(name: str, folder: Path) -> Path:
     wp.init()
     if not wp.get_cuda_supported_archs():
         raise NoCompiler("this build of Warp has no CUDA compiler")
-    try:
-        module = import_module(f"shadow_tracer.gpu.{name}")
-    except ModuleNotFoundError:  # of a walk
-        import_module(f"shadow_tracer.gpu.{name.rpartition('.')[0]}")
-        module = wp.get_module(f"shadow_tracer.gpu.{name}")
-    wp.compile_aot_module(module, arch=_ARCHITECTURE, module_dir=str(folder), use_ptx=False)
+    wp.compile_aot_module(warp_module(name), arch=_ARCHITECTURE, module_dir=str(folder), use_ptx=False)
     (code,) = folder.glob("*.cubin")
     return code
 
