@@ -71,6 +71,6 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("mutant", _MUTANTS)
 def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels: Path) -> None:
     some, changes = _MUTANTS[mutant]
-    failed = failing_tests(changes, "hierarchical_grid/test_hierarchical_grid.py", some, tmp_path, kernels)
+    failed = failing_tests(changes, "accelerators/hierarchical_grid/test_hierarchical_grid.py", some, tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
     assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"
