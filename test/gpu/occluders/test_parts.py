@@ -126,6 +126,7 @@ def test_a_marker_that_comes_and_goes_copies_nothing_of_a_terrain(world: _World,
 
 @pytest.mark.parametrize("first", ["marker", "terrain"])
 @_each
+@pytest.mark.slow
 def test_only_what_a_marker_touches_is_made_again(world: _World, first: str) -> None:
     """Records, corners and boxes of both lights; the marker's, and those of the terrain that share a block with it."""
     meshes = {"marker": _marker(), "terrain": _terrain()}
@@ -201,6 +202,7 @@ def test_gaps_of_many_parts_are_filled_or_closed(make: Make) -> None:
 
 
 @probe.in_forms("names", ["mesh_bvh/refit", "mesh_bvh/binary"], ["mesh_bvh/refit"])
+@pytest.mark.slow
 def test_a_tree_is_refitted_for_markers(world: _World, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is built for the terrain, once more when there is a first marker, and when much has been replaced."""
     rng = np.random.default_rng(8)

@@ -168,6 +168,7 @@ def test_far_away(world: OneWorld, away: float) -> None:
     assert 0.05 < (world.check(scene, camera) >= 0).mean() < 0.95
 
 
+@pytest.mark.slow
 def test_edge_on_but_for_rounding(world: OneWorld) -> None:
     """A triangle that the eye is in the plane of, but for the last bits of its coordinates, reaches from before a wall
     to behind it; its depth is computed anywhere between those of its corners."""

@@ -63,6 +63,7 @@ def test_the_same_points_reach_as_hard_lights(any_device: str, mesh: str, light:
 
 @pytest.mark.parametrize("names", _WALKERS)
 @pytest.mark.parametrize("cull", [False, True])
+@pytest.mark.slow
 def test_sequences_of_unlike_frames(any_device: str, names: str, cull: bool) -> None:
     """Meshes, lights, biases and culling change; a hard light before and behind; points in between."""
     tracer = _tracer(names, any_device, front_face_culling=cull)
