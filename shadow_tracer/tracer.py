@@ -174,7 +174,9 @@ class ShadowTracer:
             for bias in (Bias(0.0), Bias(0.0, normal=1.0)):
                 self._engine.trace_depth(scene, depth, camera, [light], bias, verify=verify)
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
-        self._engine.trace_points(scene, np.array([[0.1, 0.1, 2.0]]), [light], 0.0, verify=verify)
+        point = np.array([[0.1, 0.1, 2.0]])
+        for each in (light, SphereLight("bulb", (0.0, 0.0, 0.0), 0.1, samples=2)):
+            self._engine.trace_points(scene, point, [each], 0.0, verify=verify)
 
     @property
     def sample_sets(self) -> tuple[str, ...]:
@@ -320,7 +322,9 @@ class ShadowTracer:
             BoundsError: the image or the number of lights exceeds the declared bounds.
         """
         what = check_frame(self._bounds, depth, camera, lights, bias)
-        self._prepare_verifier(against)
+        names = self._verifier_for(against)
+        self._engine.set_number(samples)  # what is refused allocates nothing
+        self._engine.prepare_verifier(*names)
         last = self._last.get(samples)
         if last is not None and last[0] == self._key(*what) and self._engine.holds(what[0], samples):
             answer = last[1]
@@ -339,7 +343,7 @@ class ShadowTracer:
             ValueError: ``against`` is not another pipeline than the one in use.
         """
         begin = time.perf_counter()
-        self._prepare_verifier(against)
+        self._engine.prepare_verifier(*self._verifier_for(against))
         self._trace_triangle(verify=True)
         return time.perf_counter() - begin
 
@@ -347,13 +351,18 @@ class ShadowTracer:
         """Free the buffers of :meth:`verify`'s second pipeline, if there are any."""
         self._engine.release_verifier()
 
-    def _prepare_verifier(self, against: str | None) -> None:
+    def _verifier_for(self, against: str | None) -> tuple[str, str]:
+        """Pipeline and variant that verify, for the name that was given.
+
+        Raises:
+            ValueError: not another pipeline than the one in use.
+        """
         others = [name for name in available_pipelines() if name != AUTO and name not in self._engine.pipelines]
         if against is None:
             against = self._engine.verifier or next(name for name in _VERIFIERS if name in others)
         if against not in others:
             raise ValueError(f"against: expected one of {', '.join(others)}, got {against!r}")
-        self._engine.prepare_verifier(*resolve(against, None))
+        return resolve(against, None)
 
     def _key(self, image: npt.NDArray[Any], camera: Camera, lights: Lights, bias: Bias) -> tuple[Any, ...]:
         # Cameras and lights are compared by identity: they are frozen, and those of a node are the same for both calls.

@@ -25,7 +25,7 @@ from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.engine.automatic import Chooser, Names
 from shadow_tracer.gpu.engine.calibration import calibrate
 from shadow_tracer.gpu.engine.cuts import share_count
-from shadow_tracer.gpu.engine.frame import FrameTracer, Loaded
+from shadow_tracer.gpu.engine.frame import FrameTracer, Kind, Loaded, kinds_of
 from shadow_tracer.gpu.engine.gather import Traced
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.held import Source
@@ -118,7 +118,7 @@ class Engine:
         """Names of the sets of samples in use."""
         return tuple(self._sets)
 
-    def _number(self, samples: str | None) -> int:
+    def set_number(self, samples: str | None) -> int:
         """Of the set of samples with a name, which it gets now if it is new; None is the first set, whatever its name.
 
         Raises:
@@ -209,7 +209,7 @@ class Engine:
 
     def forget(self, samples: str) -> None:
         """Make everything again in the next frame of a set of samples, whatever is there."""
-        number = self._number(samples)
+        number = self.set_number(samples)
         self._whole(lambda inside: inside.tracers[number].forget())
 
     def nbytes(self) -> int:
@@ -220,7 +220,7 @@ class Engine:
     def holds(self, depth: np.ndarray, samples: str | None = None) -> bool:
         """Whether ``depth`` is, bit for bit, the depth image last traced with a set of samples, whatever points have
         been asked for since. Waits for the device."""
-        return self._seat.run(self._found).tracers[self._number(samples)].holds(depth)
+        return self._seat.run(self._found).tracers[self.set_number(samples)].holds(depth)
 
     def trace_depth(
         self,
@@ -240,9 +240,9 @@ class Engine:
         Raises:
             BoundsError: none is free.
         """
-        frame = (Source.of(depth, bias).name, scene.triangle_count > 0)
+        frames = kinds_of(Source.of(depth, bias).name, lights, scene.triangle_count > 0)
         return self._trace(
-            lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias, cull), verify, frame, samples
+            lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias, cull), verify, frames, samples
         )
 
     def trace_points(
@@ -258,26 +258,27 @@ class Engine:
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
         is all valid. As ``trace_depth`` otherwise."""
-        frame = (None, scene.triangle_count > 0)
+        frames = kinds_of(None, lights, scene.triangle_count > 0)
         trace = partial(
             FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid, cull=cull
         )
-        return self._trace(trace, verify, frame, samples)
+        return self._trace(trace, verify, frames, samples)
 
     def _trace(
-        self, trace: Callable[[FrameTracer], Traced], verify: bool, frame: tuple[str | None, bool], samples: str | None
+        self, trace: Callable[[FrameTracer], Traced], verify: bool, frames: Sequence[Kind], samples: str | None
     ) -> Traced:
-        """``frame``: the format of its image, and whether there are triangles."""
+        """``frames``: the kinds of frames that this is, see ``kinds_of``."""
         if verify:
 
             def by_verifier(inside: _Inside) -> Traced:
                 assert inside.verifier is not None
                 return trace(inside.verifier)
 
-            return self._whole(by_verifier, [(self._verifier, *frame)])
-        number = self._number(samples)
+            return self._whole(by_verifier, [(self._verifier, *frame) for frame in frames])
+        number = self.set_number(samples)
         candidates = self._chooser.candidates if self._chooser else [self._names]
-        return self._whole(lambda inside: trace(inside.tracers[number]), [(names, *frame) for names in candidates])
+        needs = [(names, *frame) for names in candidates for frame in frames]
+        return self._whole(lambda inside: trace(inside.tracers[number]), needs)
 
 
 def _chooser_of(names: Names) -> Chooser | None:

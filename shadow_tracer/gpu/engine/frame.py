@@ -43,8 +43,16 @@ from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.lights import HardLight, Light, SphereLight
 from shadow_tracer.scene.mesh import Scene
 
-# A pipeline and variant, what it makes samples of (``Source.name``), and whether there were triangles.
+# Of frames that need the same kernels of a pipeline: what samples are made of (``Source.name``), or that points of
+# sphere lights are asked for; and whether there are triangles.
+Kind = tuple[str | None, bool]
 Loaded = tuple[Names, str | None, bool]
+_SPHERES = "spheres"
+
+
+def kinds_of(source: str | None, lights: Sequence[Light], triangles: bool) -> list[Kind]:
+    """What a frame is."""
+    return [(source, triangles), *([(_SPHERES, triangles)] if sphere_points.is_soft(lights) else [])]
 
 
 class FrameTracer:
@@ -246,7 +254,11 @@ class FrameTracer:
         def trace(batch: Sequence[HardLight], first: bool) -> Traced:
             return self._trace_lights(working, batch, source if first else None)
 
-        return trace_spheres(working, lights, self.bounds.max_lights, trace, self.stages)
+        kernels = (working[0].names, _SPHERES, self._scene.triangle_count > 0)
+        self._cold |= kernels not in self._loaded
+        traced = trace_spheres(working, lights, self.bounds.max_lights, trace, self.stages)
+        self._launched(kernels)
+        return traced
 
     def _trace_lights(self, working: list[Share], lights: Sequence[HardLight], source: Source | None) -> Traced:
         """``source``: what samples are to be made of, None if there are some."""
@@ -316,6 +328,10 @@ class FrameTracer:
         else:
             side_by_side = loaded and len(working) > 1
             self._run(working, passes, source, self._workers.run if side_by_side else _one_after_the_other)
+        self._launched(kernels)
+
+    def _launched(self, kernels: Loaded) -> None:
+        """These are loaded."""
         self._loaded.add(kernels)
         self._loaded_by_anybody.add(kernels)
 

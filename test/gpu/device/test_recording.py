@@ -17,7 +17,7 @@ import pytest
 import warp as wp
 from interrupts import Ring
 
-from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, render_depth
+from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, SphereLight, render_depth
 from shadow_tracer.gpu.device import graphs
 from shadow_tracer.gpu.engine import frame, share
 from shadow_tracer.scene.mesh import Scene
@@ -182,3 +182,23 @@ def test_devices_without_memory_pools_are_not_recorded() -> None:
         device = SimpleNamespace(is_cpu=False, is_mempool_supported=supported, is_mempool_enabled=enabled)
         assert graphs.can_record(device) == enabled
     assert graphs.can_record(wp.get_device("cpu"))
+
+
+@pytest.mark.parametrize("names", ["mesh_bvh/refit", "light_grid/packed"])
+def test_kernels_for_sphere_lights_are_loaded_alone_and_by_warm_up(any_device: str, names: str) -> None:
+    """A first sphere light may need more than all frames before it: then that frame is alone on the device, too."""
+    tracer = _tracer(names, any_device, False)
+    tracer.scene.put("wall", *geometry.square(2, 2.0, 1.0))
+    loaded = probe.loaded(tracer)
+    points, sphere = np.array([[0.0, 0.0, 4.0]]), SphereLight("bulb", (0.2, 0.0, 0.1), 0.1, samples=3)
+    loaded.clear()
+    tracer.states_at(points, [PointLight("lamp", (0.0, 0.0, 0.1))])
+    before = set(loaded)
+    assert all(kinds[1] != "spheres" for kinds in before)
+    tracer.states_at(points, [sphere])
+    assert loaded - before == {(tuple(names.split("/")), "spheres", True)}
+    loaded.clear()
+    tracer.warm_up()
+    after = set(loaded)
+    tracer.states_at(points, [sphere])
+    assert loaded == after and (tuple(names.split("/")), "spheres", True) in after
