@@ -56,8 +56,10 @@ struct WIDE(AnyHit) {
         int yes = 0;
         const float* record = (const float*)occluders.records.data + 16 * (size_t)triangle;
         const int found = asking & WIDE(Filter)::possible(record, u, v, w, z, magnitude, yes);
-        if (!found)
-            return false;
+        return found && note(triangle, found, yes);
+    }
+    // What the filter has found about those that ask; true if none does any more.
+    inline bool note(int triangle, int found, int yes) {
 #if LANES == 1
         if (yes)
             answers.states.data[ray[0]] = SHADOWED;
@@ -82,9 +84,14 @@ struct WIDE(AnyHit) {
     }
     // Shows all triangles, where a structure cannot say which could matter.
     inline void everything() {
-        for (int t = 0; t < occluders.count; ++t)
-            if (visit(t))
+        const float* record = (const float*)occluders.records.data;
+        for (int t = 0; t < occluders.count; ++t, record += 16) {
+            int yes = 0;
+            const int found = asking & WIDE(Filter)::possible(record, u, v, w, z, magnitude, yes);
+            tests += askers;
+            if (found && note(t, found, yes))
                 return;
+        }
     }
     inline int triangle_count() const { return occluders.count; }
     // The sample and the light of the only ray.
