@@ -110,6 +110,8 @@ _KINDS: list[tuple[str, int, dict[str, Any], str]] = [
     ("cone_hierarchy/linear", 2, {}, probe.USUAL),
     ("cone_hierarchy/precise", 1, {}, probe.USUAL),
     ("mesh_bvh/refit", 1, {}, probe.USUAL),
+    ("uniform_grid/dda", 1, {}, probe.USUAL),
+    ("hierarchical_grid/nested", 1, {}, probe.CUDA),
     ("brute_force/filtered", 2, {}, probe.USUAL),
     ("auto/measured", 2, {}, probe.USUAL),
 ]

@@ -9,6 +9,7 @@ import geometry
 import numpy as np
 import probe
 import pytest
+from interrupts import Ring, Steps
 
 from shadow_tracer import Bounds, BoundsError, Camera, DirectionalLight, PointLight, ShadowTracer, SphereLight
 
@@ -108,8 +109,10 @@ def test_one_set_too_many_is_refused(any_device: str) -> None:
         lambda: tracer.states_at(points, _LIGHTS, samples="third"),
         lambda: tracer.occluded(points, _LIGHTS[0], samples="third"),
     ):
+        before = tracer.device_bytes
         with pytest.raises(BoundsError, match=r"^bounds\.max_sample_sets: .* 'left', 'right', but the bound is 2"):
             act()
+        assert tracer.device_bytes == before, "nothing was allocated for what was refused"
     with pytest.raises(ValueError, match="^samples: expected a string, got 7"):
         tracer.trace(_depth("left"), camera, _LIGHTS, samples=7)  # type: ignore[arg-type]
     assert tracer.sample_sets == ("left", "right")
@@ -120,6 +123,34 @@ def test_one_set_too_many_is_refused(any_device: str) -> None:
     tracer.release_samples("nobody")
     frame = tracer.trace(_depth("left"), camera, _LIGHTS, samples="third")
     assert np.array_equal(_states(frame), expected["left"]) and tracer.sample_sets == ("left", "third")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pipeline", ["light_grid", "mesh_bvh", "auto"])
+def test_an_interrupt_in_one_set_leaves_the_others_right(pipeline: str) -> None:
+    """At steps of a frame of either camera, while the scene changes; sphere lights among the lights."""
+    tracer, alone, steps = _tracer(pipeline, threads=2), _tracer("brute_force", sets=1, threads=1), Steps()
+    names = list(_CAMERAS)
+
+    def trace(name: str, seed: int) -> np.ndarray:
+        return _states(tracer.trace(_depth(name, seed), _CAMERAS[name], _LIGHTS, 0.01, samples=name))
+
+    for name in names:
+        trace(name, 0)
+    total = steps.count(lambda: trace("left", 1))
+    assert total > 300
+    for number, at in enumerate(np.random.default_rng(9).integers(1, total, 12)):
+        ball = geometry.icosphere(2, 0.6, (0.05 * number, 0.0, 2.0))
+        for each in (tracer, alone):
+            each.scene.put("ball", *ball)
+        try:
+            steps.run(lambda name=names[number % 2], seed=number: trace(name, seed), int(at))
+        except Ring:
+            pass
+        for name in reversed(names):
+            expected = _states(alone.trace(_depth(name, number), _CAMERAS[name], _LIGHTS, 0.01))
+            assert np.array_equal(trace(name, number), expected), (number, at, name)
+        assert tracer.sample_sets == ("left", "right")
 
 
 def test_all_sets_follow_what_is_set_between_frames(any_device: str) -> None:
