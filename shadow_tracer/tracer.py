@@ -24,7 +24,7 @@ from shadow_tracer.scene.lights import Light, PointLight, SphereLight
 from shadow_tracer.scene.mesh import Scene
 from shadow_tracer.visibility import Frame, State
 
-_VERIFIERS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # who verifies, if nobody is named
+_VERIFIERS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # that verify, if none is named
 
 
 class ShadowTracer:

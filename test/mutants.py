@@ -15,7 +15,9 @@ _ROOT = Path(__file__).resolve().parents[1]
 Change = tuple[str, str, str]  # a file below shadow_tracer/gpu, what stands there, and what is to stand there instead
 
 
-def failing_tests(changes: Sequence[Change], tests: str, some: str, folder: Path, kernels: Path) -> list[str]:
+def failing_tests(
+    changes: Sequence[Change], tests: str, some: str, folder: Path, kernels: Path, first: bool = False
+) -> list[str]:
     """The lines ``FAILED ...`` of tests in a copy that has been changed; some of them must fail by an assertion.
 
     Args:
@@ -23,6 +25,7 @@ def failing_tests(changes: Sequence[Change], tests: str, some: str, folder: Path
         some: which of them, as pytest's option -k takes it.
         folder: an empty one for the copy.
         kernels: a cache of kernels for several copies: what has not changed is compiled once.
+        first: the first one that fails is enough.
     """
     for name in ("shadow_tracer", "test"):
         shutil.copytree(_ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -33,7 +36,8 @@ def failing_tests(changes: Sequence[Change], tests: str, some: str, folder: Path
         assert code.count(there) == 1, f"the safeguard has moved from {name}: update this test"
         path.write_text(code.replace(there, instead), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"test/gpu/{tests}", "-k", some],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"test/gpu/{tests}", "-k", some]
+        + (["-x"] if first else []),
         cwd=folder,
         env={
             **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},

@@ -26,3 +26,9 @@ def machine_code(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pa
         return made[module]
 
     return code
+
+
+@pytest.fixture(scope="module")
+def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Compiled kernels: what a safeguard is not part of is compiled once."""
+    return tmp_path_factory.mktemp("kernels")

@@ -120,7 +120,7 @@ class Accelerator:
         raise NotImplementedError
 
     def more(self, work: Pass) -> Iterator[None]:
-        """What a list of its own could not hold, as it has told ``FrameBuffers.parts``: shows all once more, a list at
+        """What its list could not hold, as it has told ``FrameBuffers.parts``: shows all once more, a list at
         a time, and lets waiting pairs be decided in between. The rays are as they were before ``show``."""
         raise NotImplementedError
 

@@ -16,7 +16,7 @@ The least depth wins, of equal ones the least triangle index: that does not depe
 float32 answers what it can: edges n . h > s_e m sure, n . h < -s_e m no (``docs/exactness.md`` section 3), and inverse
 depths that are more than s_q m away from each other (``camera_records.py``). Of a ray's best triangle the filter keeps
 the two bounds of its inverse depth. One ray and sixteen are judged by one text (``ray_test.h``), what that leaves open
-by another (``hit.h``), and so is every ray, whoever shows it triangles.
+by another (``hit.h``), and so is every ray, by whatever it is shown triangles.
 """
 
 from __future__ import annotations

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 from shadow_tracer.gpu.occluders.slots import Ranges, few, merged
 
-# Whoever has missed more revisions makes everything again.
+# After more revisions than this everything is made again.
 _KEPT = 64
 
 
 @dataclass(frozen=True)
 class Revision:
-    """What is on the device. Whoever makes something of the scene keeps the revision that it was made for.
+    """What is on the device. What is made of the scene is kept with the revision that it was made for.
 
     Attributes:
         topology: another number whenever triangles may have others' places or corners.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where parts lie in a buffer: each in a range of its own that it keeps, with gaps where parts have gone."""
+"""Where parts lie in a buffer: each in a range that it keeps, with gaps where parts have gone."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ class SceneBuffers:
         return changed
 
     def _begin_anew(self) -> None:
-        """Whatever is there is not known; nobody has seen the revision that this is."""
+        """What is there is not known: a revision that nothing has been made for."""
         number = self.revision.positions + 1
         self._history.clear()
         self._parts, self.revision = {}, Revision(number, number)

@@ -2,7 +2,7 @@
 // arguments: Asked asked, Occluders asked.occluders, Answers asked.answers
 // constants: LIT SHADOWED MAGNITUDE_FLOOR LEAF_TESTS NODES_VISITED COUNTER_ROWS
 // lanes
-// The query *any hit*: whether something hides LANES rays of one light. Whoever walks shows it triangles.
+// The query *any hit*: whether something hides LANES rays of one light. Walks show it triangles.
 struct WIDE(AnyHit) {
     enum { SPREADS = 0 }; // whether the rays that are walked together are a bundle, see spread()
     typedef WIDE(Lanes) Lanes;

@@ -29,7 +29,7 @@ struct ClosestHit1 : Nearest {
     }
     // Shows a triangle. Never true: another one may be closer.
     inline bool visit(int triangle) {
-        // Others are met by no ray, and nobody has left them out.
+        // Others are met by no ray, and have not been left out.
         if (CameraRecord::at(seen.records, triangle)[CameraRecord::CASTS] == 0.0f || !nearer(triangle))
             return false;
         double d[3];

@@ -28,7 +28,7 @@ struct Walk1 {
         Place at, above[GRID_DEPTHS - 1];
         int depth = 0;
         float now = 0.0f; // how far the ray has come
-        // From the cell's number: a sum of steps would sum their roundings. Nobody leaves a grid through its border,
+        // From the cell's number: a sum of steps would sum their roundings. No ray leaves a grid through its border,
         // which lies some roundings beside that of the cell that holds it: a ray along it would miss what is there.
         auto leave = [&](int k) {
             const auto& shape = structure.grids.data[at.grid].shape;

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grids within cells of grids: the structure, and the kernels that build it. Whoever makes a number of something in one
-kernel and stores it in another gets the same number: what both compute from a shape is exact, or rounded once."""
+"""Grids within cells of grids: the structure, and the kernels that build it. What one kernel counts and another stores
+is the same in both: what they compute from a shape is exact, or rounded once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEPTHS = 3  # grids that a point may lie in
 native.constants(GRID_DEPTHS=DEPTHS)
 STEPS = wp.constant(11)  # from the finest grids in cells to those of one cell, which are none: 64 cells to 2
 LEAVES = wp.constant(-1)  # instead of a depth: cells that hold no grid, at any
-_DENSE = wp.constant(8)  # triangles that a cell may have without a grid of its own
+_DENSE = wp.constant(8)  # triangles that a cell may have without a nested grid
 _CELLS_PER_MEMBER = wp.constant(3.0)
 _MOST_ALONG = wp.constant(64)  # an axis of a grid in a cell
 # Cells get no smaller: four times what triangles are padded by, which all triangles span.

@@ -3,20 +3,15 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from mutants import Change, failing_tests
 
-_ROOT = Path(__file__).resolve().parents[4]
-_GPU = "shadow_tracer/gpu"
 _TREE, _CONES = "accelerators/cone_hierarchy/", "accelerators/paper_hierarchy/"
 
 # the tests that have to fail; and file, what stands there, what is put there instead
-_MUTANTS = {
+_MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "half-angles from an arc cosine": (
         _CONES + "test_cone_nodes.py",
         [
@@ -54,23 +49,6 @@ _MUTANTS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mutant", _MUTANTS)
-def test_without_a_safeguard_the_node_tests_fail(mutant: str, tmp_path: Path) -> None:
+def test_without_a_safeguard_the_node_tests_fail(mutant: str, tmp_path: Path, kernels: Path) -> None:
     tests, changes = _MUTANTS[mutant]
-    for folder in ("shadow_tracer", "test"):
-        shutil.copytree(_ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(_ROOT / "pyproject.toml", tmp_path)
-    for name, there, instead in changes:
-        path = tmp_path / _GPU / name
-        code = path.read_text(encoding="utf-8")
-        assert code.count(there) == 1, f"the safeguard has moved from {name}: update this test"
-        path.write_text(code.replace(there, instead), encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", f"test/gpu/{tests}"],
-        cwd=tmp_path,
-        env={**os.environ, "WARP_CACHE_PATH": str(tmp_path / "kernels"), "SHADOW_TRACER_TEST_DEVICES": "cpu"},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert done.returncode == 1 and "AssertionError" in done.stdout, done.stdout + done.stderr
+    assert failing_tests(changes, tests, "", tmp_path, kernels, first=True)

@@ -60,12 +60,6 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Compiled kernels: what a safeguard is not part of is compiled once."""
-    return tmp_path_factory.mktemp("kernels")
-
-
 @pytest.mark.wide
 @pytest.mark.slow
 @pytest.mark.parametrize("mutant", _MUTANTS)
