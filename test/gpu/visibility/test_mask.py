@@ -106,6 +106,29 @@ def test_points_on_samples_edges_and_corners(any_device: str, names: str) -> Non
         assert np.array_equal(tracer.states_at(points, [sphere], bias), oracle.states_at(points, [sphere], bias))
 
 
+@pytest.mark.parametrize("names", _WALKERS)
+def test_edges_and_planes_within_roundings_of_rays(any_device: str, names: str) -> None:
+    """Triangles with an edge, or their plane, through the ray from a sample to a point of the light, but for the
+    rounding of their corners: no float64 sum tells on which side they are."""
+    rng, sphere = np.random.default_rng(8), SphereLight("s", (0.1, -0.2, 0.3), 0.2, samples=64)
+    count = 600
+    points = rng.uniform(-1.0, 1.0, (count, 3)) * (3.0, 3.0, 0.5) + (0.0, 0.0, 3.0)
+    ends = sphere.points[rng.integers(0, 64, count)]
+    middles = points + rng.uniform(0.2, 0.8, (count, 1)) * (ends - points)
+    along, aside = rng.normal(size=(2, count, 3)) * 0.03
+    corners = np.stack([middles + along, middles - along, middles + aside], axis=1)
+    flat = rng.random(count) < 0.5  # these have the ray in their plane, nearly
+    corners[flat, 2] = (middles + 0.3 * (ends - points) + 0.1 * along)[flat]
+    mesh = corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
+    tracer, oracle = _tracer(names, any_device), _tracer("light_grid/packed", any_device)
+    for each in (tracer, oracle):
+        each.scene.put("mesh", *mesh)
+    for bias in (0.0, 0.3):
+        counts = [probe.trace_points(each, points, [sphere], bias).reached[0] for each in (tracer, oracle)]
+        assert np.array_equal(*counts), bias
+        assert 0.02 < counts[0].mean() / 64 < 0.98
+
+
 def test_one_walk_for_all_points(any_device: str) -> None:
     """Nodes visited for 64 points: a little more than for one, not 64 times as many."""
     tracer = _tracer("mesh_bvh/refit", any_device)
