@@ -16,7 +16,7 @@ from rivals import Contestant
 from stolen import stolen
 
 _MOST_WRONG = 1e-3  # part of the rays: peers work in float32; more than this is not the same question
-_WARM_UP = 3  # rounds whose times are not kept: kernels are loaded, and shares balanced
+_WARM_UP = 3  # rounds whose times are not kept: kernels are loaded, and bands balanced
 _LOST = 0.05  # part of a frame's time: with more of it lost to others the frame is disturbed
 _SHORT, _LEAST = 3, 0.2  # times the frames, as long as they take less than this part of the effort's seconds
 _PATIENCE = 4  # times the effort, for frames that are not disturbed

@@ -112,10 +112,10 @@ class Spherical:
             SystemExit: they do not add up to ``expected``.
         """
         grid, context = self.grid, self.grid._context
-        device = context.frame.device
+        device = context.samples.device
         found = wp.zeros(rays, dtype=int, device=device)
         of, lists = grid.rays, grid.lists
-        inputs = [of.tile_count, context.frame.rays, of.polar, of.keys, of.order, of.tiles]
+        inputs = [of.tile_count, context.samples.rays, of.polar, of.keys, of.order, of.tiles]
         inputs += [lists.begins, lists.keys, lists.values, context.records.of(0), found]
         wp.launch(count_spherical, dim=rays, inputs=inputs, device=device)
         keys, order, tests = of.keys.numpy()[:rays], of.order.numpy()[:rays], found.numpy()

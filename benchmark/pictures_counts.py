@@ -141,7 +141,7 @@ def _count(picture: Picture, variant: str) -> Traced:
     tests, records = wp.zeros(count, dtype=int, device="cpu"), context.records.of(0)
     if variant == "spherical":
         of, lists = pipeline.rays, pipeline.lists
-        inputs = [of.tile_count, context.frame.rays, of.polar, of.keys, of.order, of.tiles]
+        inputs = [of.tile_count, context.samples.rays, of.polar, of.keys, of.order, of.tiles]
         inputs += [lists.begins, lists.keys, lists.values, records, tests]
         wp.launch(count_spherical, dim=count, inputs=inputs, device="cpu")
     else:

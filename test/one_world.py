@@ -32,11 +32,11 @@ class OneWorld:
         from shadow_tracer.gpu.device.stages import Stages
         from shadow_tracer.gpu.occluders.seen import TriangleRecords
         from shadow_tracer.gpu.occluders.world import SceneBuffers
-        from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+        from shadow_tracer.gpu.samples.sample_set import SampleSet
 
         on = wp.get_device(device)
         self.buffers = SceneBuffers(bounds, on, ordered=True)
-        frame = FrameBuffers(bounds, on)
+        frame = SampleSet(bounds, on)
         records = TriangleRecords(bounds, self.buffers, frame.light_frame_of, frame.host)
         context = Context(frame, self.buffers, records, Stages(on))
         self.walkers: dict[str, Any] = {}

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from shadow_tracer import Bounds, PointLight, ShadowTracer
+from shadow_tracer.gpu.accelerators.interface import Rays
 from shadow_tracer.gpu.accelerators.light_grid.tiles import LOOKUP, QUANTITIES, Tiles
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_anchor, make_light_frame
-from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.scene.lights import Light
 
 TILE, BLOCK = 32, 512  # rays
@@ -133,7 +133,7 @@ class Packing:
     ) -> Packed:
         """(lights, N, 4) rays in light space; (lights, N) group (all in tiles) and states (all lit)."""
         engine: Any = self._tracer._engine.inside
-        frame, pipeline = engine._frame, engine._pipeline
+        frame, pipeline = engine._whole, engine._pipeline
         rays = np.ascontiguousarray(rays, np.float32).reshape(len(lights), -1, 4)
         count, everything = rays.shape[1], rays.shape[0] * rays.shape[1]
         frames = tuple(make_light_frame(light, Anchor((0.0, 0.0, 0.0), 1.0), k) for k, light in enumerate(lights))
@@ -145,7 +145,7 @@ class Packing:
         frame.states_of(0, len(lights)).assign(np.zeros(everything, np.uint8) if states is None else states.reshape(-1))
         tiles = pipeline._buffers.tiles
         tiles.lights, tiles.samples = len(lights), count
-        pipeline._way.pack(Pass(frames))
+        pipeline._way.pack(Rays(frames))
         return read(tiles)
 
 

@@ -76,12 +76,12 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
         inside._anchor, inside._lights = None, ()
         inside._samples.forget()
         inside._context.records.forget()
-        inside._balances = {names: type(balance)(balance._shares) for names, balance in inside._balances.items()}
+        inside._balances = {names: type(balance)(balance._count) for names, balance in inside._balances.items()}
         if engine._chooser is not None:
             inside._chooser = engine._chooser
-            inside._team = inside._teams[engine._chooser.candidates[0]]
-        for share in inside._all_shares():
-            _forget(share)
+            inside._bands = inside._bands_of[engine._chooser.candidates[0]]
+        for band in inside._all_bands():
+            _forget(band)
     return tracer
 
 
@@ -116,7 +116,7 @@ def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayT
     pipeline._descend = taken.append
     tracer.occluded(points, light, bias)
     del pipeline._descend
-    frame, scene, who = inside._frame, inside._scene, pipeline._admission
+    frame, scene, who = inside._whole, inside._scene, pipeline._admission
     occluders = Occluders()
     occluders.count, occluders.triangles = scene.triangle_count, scene.triangles
     occluders.records, occluders.corners = inside._context.records.memory, pipeline._corners.of(0)
@@ -139,14 +139,14 @@ def fail_in_a_frame(tracer: ShadowTracer) -> None:
 
 
 def structure(tracer: ShadowTracer) -> Any:
-    """What the rays of a walker go through, of its only share."""
+    """What the rays of a walker go through, of its only band."""
     inside: Any = tracer._engine.inside
     return inside._pipeline.structure
 
 
 def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
     """What the pixels of a camera see of the tracer's scene, as it was in the last frame, through the structure of its
-    only share."""
+    only band."""
     from shadow_tracer.gpu.accelerators.closest_hits import ClosestHits
 
     inside: Any = tracer._engine.inside
@@ -155,10 +155,10 @@ def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
 
 def kept(tracer: ShadowTracer, samples: str) -> tuple[Any, list[tuple[int, int]]]:
     """What a set of samples keeps from frame to frame: its anchor, and the first pixel and number of pixels of each of
-    its shares."""
+    its bands."""
     engine: Any = tracer._engine
     inside = engine._seat.run(engine._found).tracers[engine._sets[samples]]
-    return inside._anchor, [(share.frame.first, share.frame.count) for share in inside._team]
+    return inside._anchor, [(band.samples.first, band.samples.count) for band in inside._bands]
 
 
 def forget_anchor(tracer: ShadowTracer) -> None:
@@ -178,14 +178,14 @@ def uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Grows by the bytes of each array that is copied into the tracer's buffers, empty ones aside."""
     sizes: list[int] = []
     inside: Any = tracer._engine.inside
-    upload = inside._frame.upload
+    upload = inside._whole.upload
 
     def counted(destination: Any, source: Any, offset: int = 0) -> None:
         sizes.append(source.nbytes)
         upload(destination, source, offset)
 
-    for share in [inside, *inside._all_shares()]:
-        frame = share._frame if share is inside else share.frame
+    for band in [inside, *inside._all_bands()]:
+        frame = band._whole if band is inside else band.samples
         monkeypatch.setattr(frame, "upload", counted)
     return sizes
 
@@ -287,9 +287,9 @@ def loaded(tracer: ShadowTracer) -> set[Any]:
     return tracer._engine._seat.loaded
 
 
-def _forget(share: Any) -> None:
-    if share._kept is not None:
-        share._kept.forget()
-    hints = getattr(getattr(share.pipeline, "_tree", None), "hints", None)  # of mesh_bvh: what hid each ray last
+def _forget(band: Any) -> None:
+    if band._kept is not None:
+        band._kept.forget()
+    hints = getattr(getattr(band.pipeline, "_tree", None), "hints", None)  # of mesh_bvh: what hid each ray last
     if hints is not None:
         hints.zero_()

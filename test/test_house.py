@@ -251,7 +251,7 @@ _LOOKS_INSIDE = {
     "gpu/engine/test_failures.py",
     "gpu/device/test_graphs.py",
     "gpu/samples/test_kept_rays.py",
-    "gpu/engine/test_shares.py",
+    "gpu/engine/test_bands.py",
     "gpu/engine/test_threads.py",
     "packed_grid.py",
     "probe.py",

@@ -17,7 +17,7 @@ import pytest
 from interrupts import Ring, Steps, ring_after
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, render_depth
-from shadow_tracer.gpu.engine import cuts, frame
+from shadow_tracer.gpu.engine import bands, frame
 from shadow_tracer.gpu.engine import frame as frame_tracer
 from shadow_tracer.scene.mesh import Scene
 
@@ -37,8 +37,8 @@ Answer = Callable[[], Any]
 
 
 @pytest.fixture(autouse=True)
-def _small_shares(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (cuts, frame_tracer):
+def _small_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (bands, frame_tracer):
         monkeypatch.setattr(module, "LEAST", 256)
 
 

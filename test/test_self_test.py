@@ -14,7 +14,7 @@ from shadow_tracer import DirectionalLight, SpotLight, State, available_pipeline
 from shadow_tracer.gpu.accelerators.brute_force.brute_force import BruteForce
 from shadow_tracer.gpu.accelerators.bvh.mesh_bvh import MeshBvh
 from shadow_tracer.gpu.accelerators.light_grid.packed import PackedGrid
-from shadow_tracer.gpu.engine.share import Share
+from shadow_tracer.gpu.engine.band import Band
 
 _NAMES = ["brute_force", *(name for name in available_pipelines() if name != "brute_force")]
 
@@ -77,16 +77,16 @@ def test_the_checksum_is_that_of_the_oracle() -> None:
 def test_a_wrong_pipeline_is_named(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that leaves out the last light, so that its shadows are lit: exactly these pairs are counted."""
     shadows = sum(int((states[2] == State.SHADOWED).sum()) for states in _expected())
-    trace = Share.trace
+    trace = Band.trace
 
     def all_but_the_last(this: Any, work: Any) -> None:
         trace(this, work)
         if isinstance(this.pipeline, PackedGrid):
-            states = this.frame.states_of(2)
+            states = this.samples.states_of(2)
             host = states.numpy()
             states.assign(np.where(host == State.SHADOWED, np.uint8(State.LIT), host))
 
-    monkeypatch.setattr(Share, "trace", all_but_the_last)
+    monkeypatch.setattr(Band, "trace", all_but_the_last)
     results = {result.pipeline: result for result in self_test.run(any_device, threads=1)}
     wrong = results.pop("light_grid")
     results.pop("auto")  # which may have handed the scene to it
@@ -99,7 +99,7 @@ def test_a_wrong_pipeline_is_named(any_device: str, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_pipeline_that_fails_is_named(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(this: Any, work: Any) -> None:
+    def fail(this: Any, *_: Any) -> None:
         raise RuntimeError("out of luck")
 
     monkeypatch.setattr(MeshBvh, "show", fail)
@@ -111,7 +111,7 @@ def test_a_pipeline_that_fails_is_named(any_device: str, monkeypatch: pytest.Mon
 
 
 def test_a_wrong_reference_is_found_out(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BruteForce, "show", lambda this, work: None)
+    monkeypatch.setattr(BruteForce, "show", lambda *_: None)
     results = self_test.run(any_device)
     assert not any(result.ok for result in results)
     assert "checksum" in results[0].text
@@ -123,14 +123,14 @@ def test_a_wrong_reference_is_found_out(any_device: str, monkeypatch: pytest.Mon
 def test_what_only_the_last_of_several_shares_does_wrong_is_found(
     threads: int, wrong: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Shares work side by side in a finer image; a wrong reference is found out as well."""
-    trace = Share.trace
+    """Bands work side by side in a finer image; a wrong reference is found out as well."""
+    trace = Band.trace
 
     def all_but_the_last(this: Any, work: Any) -> None:
-        if this.names[0] != wrong or this.frame.number != threads - 1:
+        if this.names[0] != wrong or this.samples.number != threads - 1:
             trace(this, work)
 
-    monkeypatch.setattr(Share, "trace", all_but_the_last)
+    monkeypatch.setattr(Band, "trace", all_but_the_last)
     results = {result.pipeline: result for result in self_test.run("cpu", ["light_grid", "mesh_bvh"], threads=threads)}
     assert not results[wrong].ok and results[wrong].differing > 100
     assert results["mesh_bvh"].ok == (wrong == "light_grid")

@@ -68,7 +68,7 @@ def test_any_queue_capacity(tracer_case: tuple[str, str, str], capacity: int | N
 
 def test_the_counter_of_a_full_queue_stops(tracer_case: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """It would come round to valid places if it counted more pairs than there are integers."""
-    from shadow_tracer.gpu.engine import share
+    from shadow_tracer.gpu.engine import band
 
     device, pipeline, variant = tracer_case
     lattice, camera, depth = _uncertain()
@@ -77,13 +77,13 @@ def test_the_counter_of_a_full_queue_stops(tracer_case: tuple[str, str, str], mo
     )
     tracer.scene.put("lattice", *lattice)
     seen: list[int] = []
-    finish = share.Share.finish
+    finish = band.Band.finish
 
-    def look(self: share.Share, *arguments: object) -> int:
-        seen.extend(self.frame.queue_counts.numpy())
+    def look(self: band.Band, *arguments: object) -> int:
+        seen.extend(self.samples.queue_counts.numpy())
         return finish(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(share.Share, "finish", look)
+    monkeypatch.setattr(band.Band, "finish", look)
     tracer.trace(depth, camera, _LIGHTS, 0.0)
     # Threads that asked before they could see it full.
     late = 0 if device == "cpu" else 100 * 100

@@ -13,7 +13,7 @@ import oracle
 import pytest
 
 from shadow_tracer import Bias, Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, State
-from shadow_tracer.gpu.engine import cuts
+from shadow_tracer.gpu.engine import bands
 from shadow_tracer.gpu.engine import frame as frame_tracer
 from shadow_tracer.scene.depth_mesh import depth_mesh
 from shadow_tracer.scene.normals import displaced_samples
@@ -100,8 +100,8 @@ def test_recorded_frames(any_device: str) -> None:
 @pytest.mark.parametrize("names", ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"])
 @pytest.mark.parametrize("threads", [2, 3, 4, 8])
 def test_wherever_the_image_is_cut(names: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shares need rows of each other. A bound without room for more makes cuts in the middle of rows."""
-    for module in (cuts, frame_tracer):
+    """Bands need rows of each other. A bound without room for more makes cuts in the middle of rows."""
+    for module in (bands, frame_tracer):
         monkeypatch.setattr(module, "LEAST", 64)
     bounds = Bounds(5000, 40 * 30, 2, queue_capacity=4096, grid_entries=65536)
     tracer = ShadowTracer(*names.split("/"), device="cpu", bounds=bounds, threads=threads)

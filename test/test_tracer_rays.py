@@ -13,7 +13,7 @@ import probe
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, State
-from shadow_tracer.gpu.engine import cuts
+from shadow_tracer.gpu.engine import bands
 from shadow_tracer.gpu.engine import frame as frame_tracer
 
 _WIDTH, _HEIGHT = 48, 36
@@ -87,7 +87,7 @@ def test_cameras_that_differ_in_their_rays_alone_take_turns(
 ) -> None:
     """Depth image, lights, pose and size stay, so that whatever is kept could be taken again; each kind comes often
     enough for a recording to be replayed, and a second pipeline must agree."""
-    for module in (cuts, frame_tracer):
+    for module in (bands, frame_tracer):
         monkeypatch.setattr(module, "LEAST", 64)
     tracer = ShadowTracer(*names, device="cpu", bounds=_BOUNDS, threads=threads, graphs=graphs)
     tracer.scene.put("soup", *_soup(_camera("pinhole")))

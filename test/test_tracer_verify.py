@@ -139,7 +139,7 @@ def test_a_blind_pipeline_is_found_out(any_device: str, names: str, wrong: str) 
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
     engine_: Any = tracer._engine.inside
     pipeline = engine_._pipeline if wrong == "first" else tracer._engine._inside.verifier._pipeline
-    pipeline.show = lambda work: None
+    pipeline.show = lambda *_: None
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == shadows
 

@@ -12,7 +12,7 @@ from poison import BYTES, Poison
 from sequences import ROOMY, TIGHT
 
 from shadow_tracer import Bounds, ShadowTracer, available_pipelines
-from shadow_tracer.gpu.engine import cuts
+from shadow_tracer.gpu.engine import bands
 from shadow_tracer.gpu.engine import frame as frame_tracer
 
 _VARIANTS = [(name, variant) for name, variants in available_pipelines().items() for variant in variants]
@@ -42,9 +42,9 @@ _FIRST = 50
 
 
 @pytest.fixture(autouse=True)
-def _small_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+def _small_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     """Eight threads have work in a few hundred samples."""
-    for module in (cuts, frame_tracer):
+    for module in (bands, frame_tracer):
         monkeypatch.setattr(module, "LEAST", 64)
 
 

@@ -12,14 +12,13 @@ from typing import Any
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.counters import LEAF_TESTS
 from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.exact.decision import NO, filter_pair, ray_magnitude
 from shadow_tracer.gpu.exact.light_frame import LIT
 from shadow_tracer.gpu.exact.light_space import WILD_RATIO
-from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.answers import Answers, settle
 
 ABSENT = wp.constant(0)
@@ -124,34 +123,34 @@ class Admission:
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        device, rays = context.frame.device, context.frame.bounds.max_rays
+        device, rays = context.samples.device, context.samples.bounds.max_rays
         self.groups = wp.empty(rays, dtype=wp.uint8, device=device)
         self.counts = wp.zeros(2, dtype=int, device=device)
         self._wild = wp.empty(rays, dtype=int, device=device)
         self._launch = Launches(device)
 
-    def admit(self, work: Pass) -> None:
+    def admit(self, rays: Rays) -> None:
         """Group the rays of a pass."""
-        frame, lights = self._context.frame, len(work.lights)
-        wide, count = forms.wide(frame.device), lights * frame.count
+        samples, lights = self._context.samples, len(rays.lights)
+        wide, count = forms.wide(samples.device), lights * samples.count
         self.counts.zero_()
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [frame.rays, frame.states_of(work.first, lights), self.groups, self._wild, self.counts]
+            inputs = [samples.rays, samples.states_of(rays.first, lights), self.groups, self._wild, self.counts]
             return (-(-count // int(_BLOCK)), [count, *inputs]) if wide else (count, inputs)
 
-        self._launch(admit_blocks if wide else admit_rays, (work.first, count, frame.count), prepare)
+        self._launch(admit_blocks if wide else admit_rays, (rays.first, count, samples.count), prepare)
 
-    def test_wild(self, work: Pass) -> None:
+    def test_wild(self, rays: Rays) -> None:
         """Test the rays that are not in the structure."""
-        frame, scene, records = self._context.frame, self._context.scene, self._context.records
-        threads, lights = forms.tasks(frame.device, _WILD_THREADS_CUDA), len(work.lights)
+        samples, scene, records = self._context.samples, self._context.scene, self._context.records
+        threads, lights = forms.tasks(samples.device, _WILD_THREADS_CUDA), len(rays.lights)
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [threads, records.stride, scene.triangle_count, frame.rays, records.of(work.first, lights)]
-            return threads, [*inputs, self._wild, self.counts, self._context.answers(work)]
+            inputs = [threads, records.stride, scene.triangle_count, samples.rays, records.of(rays.first, lights)]
+            return threads, [*inputs, self._wild, self.counts, self._context.answers(rays)]
 
-        self._launch(test_wild, self._context.key(work), prepare)
+        self._launch(test_wild, self._context.key(rays), prepare)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

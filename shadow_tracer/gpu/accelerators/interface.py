@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 from weakref import WeakValueDictionary
 
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.exact.faces import Occluders
+from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
-from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility.answers import Answers
-from shadow_tracer.gpu.visibility.queries import Mask
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, AnyHit, Mask, Query
 
 _Kind = TypeVar("_Kind")
 
@@ -45,41 +45,76 @@ class Shared:
 
 
 @dataclass(frozen=True)
+class Rays:
+    """Those of some consecutive lights of the frame, traced together: rays and triangle records lie one after the
+    other. Ray number i belongs to light i // count of them and to sample i % count, count being the number of samples.
+
+    Attributes:
+        lights: at most ``Traits.lights_at_once`` of them; none if it is the query *mask* that is asked.
+        keep: what is made of the rays may be asked for ``again``.
+        again: rays and states are what they were when they were traced last, with ``keep``, and nothing but the scene
+            has changed. Both are only asked of an accelerator that ``keeps_rays``.
+        mask: what the query *mask* asks of their samples.
+    """
+
+    lights: tuple[LightFrame, ...]
+    keep: bool = False
+    again: bool = False
+    mask: Mask | None = None
+
+    @property
+    def light(self) -> LightFrame:
+        """The first light; the only one of accelerators that take them one by one."""
+        return self.lights[0]
+
+    @property
+    def first(self) -> int:
+        """Number of the first light."""
+        return int(self.lights[0].number)
+
+
+@dataclass(frozen=True)
 class Context:
     """What an accelerator works on. Scene, records and what is shared belong to all of a tracer; frame and stages to
     those that work on the same rays."""
 
-    frame: FrameBuffers
+    samples: SampleSet
     scene: SceneBuffers
     records: TriangleRecords
     stages: Stages
     shared: Shared = field(default_factory=Shared)
 
-    def answers(self, work: Pass) -> Answers:
+    def answers(self, rays: Rays) -> Answers:
         """Where the answers of a pass go."""
-        frame, scene = self.frame, self.scene
+        samples, scene = self.samples, self.scene
         answers = Answers()
-        answers.samples = frame.count
-        answers.states = frame.states_of(work.first, len(work.lights))
-        answers.counters = frame.counters
-        answers.queue, answers.queue_count = frame.queue, frame.queue_count_of[work.first]
-        answers.lights, answers.positions = frame.lights_from(work.first), frame.samples
+        answers.samples = samples.count
+        answers.states = samples.states_of(rays.first, len(rays.lights))
+        answers.counters = samples.counters
+        answers.queue, answers.queue_count = samples.queue, samples.queue_count_of[rays.first]
+        answers.lights, answers.positions = samples.lights_from(rays.first), samples.positions
         answers.vertices, answers.triangles = scene.vertices, scene.triangles
         return answers
 
-    def occluders(self, work: Pass) -> Occluders:
+    def occluders(self, rays: Rays) -> Occluders:
         """The triangles of the scene as the lights of a pass see them, without corners."""
         occluders = Occluders()
         occluders.count, occluders.triangles = self.scene.triangle_count, self.scene.triangles
-        occluders.records = self.records.of(work.first, len(work.lights))
+        occluders.records = self.records.of(rays.first, len(rays.lights))
         occluders.records_apart = self.records.stride
         return occluders
 
-    def key(self, work: Pass) -> tuple[Hashable, ...]:
+    def any_hit(self, rays: Rays) -> AnyHit:
+        """What the query *any hit* needs for the rays of a light."""
+        asked = AnyHit()
+        asked.rays, asked.occluders, asked.answers = self.samples.rays, self.occluders(rays), self.answers(rays)
+        return asked
+
+    def key(self, rays: Rays) -> tuple[Hashable, ...]:
         """All that launches of a pass depend on, contents of arrays aside."""
         records = self.records
-        numbers = work.first, len(work.lights), self.frame.count, self.scene.triangle_count
-        return *numbers, records.place(work.first), records.stride, records.front_face_culling
+        numbers = rays.first, len(rays.lights), self.samples.count, self.scene.triangle_count
+        return *numbers, records.place(rays.first), records.stride, records.front_face_culling
 
 
 @dataclass(frozen=True)
@@ -91,14 +126,14 @@ class Traits:
         recordable: whether ``show`` may be recorded and replayed: it launches kernels and reads nothing back, and
             nothing it launches depends on more than the numbers of samples and triangles and on what
             ``TriangleRecords.plan`` has said.
-        keeps_rays: whether what it makes of the rays of a pass can be used again, see ``Pass.again``.
-        masks: whether it answers the query *mask* (``show_points``).
+        keeps_rays: whether what it makes of the rays of a pass can be used again, see ``Rays.again``.
+        queries: what it can be asked (``visibility/queries.py``).
     """
 
     lights_at_once: int = 1
     recordable: bool = False
     keeps_rays: bool = False
-    masks: bool = False
+    queries: tuple[Query, ...] = (ANY_HIT,)
 
 
 class Accelerator:
@@ -110,22 +145,19 @@ class Accelerator:
         """Make or mend what depends on the occluders alone, for revisions that it was not made for; called once per
         frame before any light."""
 
-    def aim(self, work: Pass) -> None:
+    def aim(self, lights: Sequence[LightFrame]) -> None:
         """Make what depends on occluders and lights, unless it is there. Called before ``show``, and once for all that
         share the rays of a frame."""
         raise NotImplementedError
 
-    def show(self, work: Pass) -> None:
-        """Show the rays of a pass every triangle that could be in between, in any order, any number of times."""
+    def show(self, rays: Rays, query: Query) -> None:
+        """Show rays every triangle that could be in between, in any order, any number of times. ``query``: what is done
+        with them, one of ``Traits.queries``."""
         raise NotImplementedError
 
-    def more(self, work: Pass) -> Iterator[None]:
-        """What its list could not hold, as it has told ``FrameBuffers.parts``: shows all once more, a list at
-        a time, and lets waiting pairs be decided in between. The rays are as they were before ``show``."""
-        raise NotImplementedError
-
-    def show_points(self, asked: Mask) -> None:
-        """Show samples every triangle that could be between them and any of some points of a light."""
+    def more(self, rays: Rays) -> Iterator[None]:
+        """What its list could not hold, as it has told ``SampleSet.parts``: shows all once more, a list at a time, and
+        lets waiting pairs be decided in between. The rays are as they were before ``show``."""
         raise NotImplementedError
 
     def learn(self, counters: dict[str, int]) -> None:

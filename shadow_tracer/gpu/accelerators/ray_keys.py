@@ -195,8 +195,8 @@ class RayOrder:
         self._admission = admission
         self._hilbert = int(hilbert)
         self._packed = packed
-        device = context.frame.device
-        self._sort = KeySort(context.frame.bounds.max_rays, device)
+        device = context.samples.device
+        self._sort = KeySort(context.samples.bounds.max_rays, device)
         self._extent = wp.empty(4 * FACES * STRIPES, dtype=float, device=device)
         self.fit = wp.empty(FACES, dtype=wp.vec4, device=device)
         self.keys = self._sort.keys
@@ -204,21 +204,21 @@ class RayOrder:
 
     def sort(self, light: int) -> None:
         """Order the tree rays of light number ``light`` that are not known to be in shadow."""
-        frame, who = self._context.frame, self._admission
-        device, count, states = frame.device, frame.count, frame.states_of(light)
+        samples, who = self._context.samples, self._admission
+        device, count, states = samples.device, samples.count, samples.states_of(light)
         if self._packed:
             # One thread: it can pack the keys of present rays as it goes, so that only they are sorted.
-            wp.launch(measure_extent_wide, dim=1, inputs=[count, frame.rays, who.groups, self._extent], device=device)
+            wp.launch(measure_extent_wide, dim=1, inputs=[count, samples.rays, who.groups, self._extent], device=device)
             wp.launch(fit_cells, dim=FACES, inputs=[1, self._extent, self.fit], device=device)
-            inputs = [count, frame.rays, states, who.groups, self.fit, self.keys, self.order, who.counts]
+            inputs = [count, samples.rays, states, who.groups, self.fit, self.keys, self.order, who.counts]
             wp.launch(pack_keys, dim=1, inputs=inputs, device=device)
             self._sort.sort(int(who.counts.numpy()[0]), *_SORTED_BITS)
             return
         who.counts[0:1].zero_()
         wp.launch(clear_extents, dim=4 * FACES * STRIPES, inputs=[self._extent], device=device)
-        wp.launch(measure_extent, dim=count, inputs=[frame.rays, who.groups, self._extent], device=device)
+        wp.launch(measure_extent, dim=count, inputs=[samples.rays, who.groups, self._extent], device=device)
         wp.launch(fit_cells, dim=FACES, inputs=[STRIPES, self._extent, self.fit], device=device)
-        inputs = [self._hilbert, frame.rays, states, who.groups, self.fit, self.keys, self.order]
+        inputs = [self._hilbert, samples.rays, states, who.groups, self.fit, self.keys, self.order]
         wp.launch(make_keys, dim=count, inputs=inputs, device=device)
         self._sort.sort(count, *(_SORTED_BITS if self._hilbert == 0 else (0, KEY_BITS)))
         wp.launch(count_keys, dim=count, inputs=[count, self.keys, who.counts], device=device)

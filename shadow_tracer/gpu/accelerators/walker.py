@@ -14,11 +14,11 @@ from typing import Any
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays
 from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.changes import Revision
-from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, AnyHit, Mask, Query
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, Query
 
 _BLOCK = 256  # rays of a task in the wide form
 
@@ -114,20 +114,14 @@ class Walker(Accelerator):
                 self.structure = self.build()
         self._made_for = scene.revision  # last: what could not be made is made again
 
-    def aim(self, work: Pass) -> None:
+    def aim(self, lights: Sequence[LightFrame]) -> None:
         """Records of the light."""
         with self._context.stages.stage("setup"):
-            self._context.records.prepare(work.light)
+            self._context.records.prepare(lights[0])
 
-    def show(self, work: Pass) -> None:
-        """Send the rays of the light through the structure."""
-        context, frame, asked = self._context, self._context.frame, AnyHit()
-        asked.rays, asked.occluders, asked.answers = frame.rays, context.occluders(work), context.answers(work)
+    def show(self, rays: Rays, query: Query) -> None:
+        """Send the rays of the light, or bundles of them, through the structure."""
+        context, samples = self._context, self._context.samples
+        asked = context.any_hit(rays) if query is ANY_HIT else rays.mask
         with context.stages.stage("trace"):
-            self.walk.launch(ANY_HIT, frame.count, self.structure, asked, frame.device)
-
-    def show_points(self, asked: Mask) -> None:
-        """Send bundles of rays through the structure."""
-        frame = self._context.frame
-        with self._context.stages.stage("trace"):
-            self.walk.launch(MASK, frame.count, self.structure, asked, frame.device)
+            self.walk.launch(query, samples.count, self.structure, asked, samples.device)

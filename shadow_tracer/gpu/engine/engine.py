@@ -23,8 +23,8 @@ from shadow_tracer.gpu.device.graphs import can_record, end_recording
 from shadow_tracer.gpu.device.seats import Seat
 from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.engine.automatic import Chooser, Names
+from shadow_tracer.gpu.engine.bands import band_count
 from shadow_tracer.gpu.engine.calibration import calibrate
-from shadow_tracer.gpu.engine.cuts import share_count
 from shadow_tracer.gpu.engine.frame import FrameTracer, Kind, Loaded, kinds_of
 from shadow_tracer.gpu.engine.gather import Traced
 from shadow_tracer.gpu.occluders.world import SceneBuffers
@@ -57,7 +57,7 @@ class Engine:
 
     Args:
         graphs: whether frames are recorded; None: on a GPU. Not where the device cannot.
-        threads: how many shares of the rays are worked on side by side, on the CPU and where the pipeline allows it.
+        threads: how many bands of the rays are worked on side by side, on the CPU and where the pipeline allows it.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Engine:
         self.device = device
         self.bounds = bounds
         self._graphs = (device.is_cuda if graphs is None else graphs) and can_record(device)
-        self._workers = Workers(share_count(device, bounds, threads, self._graphs))
+        self._workers = Workers(band_count(device, bounds, threads, self._graphs))
         self._seat = Seat(device, records=self._graphs)
         self._loaded: set[Loaded] = set()
         self._names: Names = (pipeline, variant)
@@ -145,7 +145,7 @@ class Engine:
 
     @property
     def threads(self) -> int:
-        """The most shares that are worked on side by side."""
+        """The most bands that are worked on side by side."""
         return self._workers.count
 
     @property
@@ -159,14 +159,14 @@ class Engine:
         changed."""
         names = (pipeline, variant)
         chooser = _chooser_of(names)
-        made = self._seat.run(lambda: [tracer.make_teams(names, chooser) for tracer in self._found().tracers])
+        made = self._seat.run(lambda: [tracer.make_bands(names, chooser) for tracer in self._found().tracers])
 
         def take(inside: _Inside) -> None:
             self._names, self._chooser = names, chooser
             if self.verifier in self.pipelines:
                 self._verifier = inside.verifier = None
-            for tracer, teams in zip(inside.tracers, made, strict=True):
-                tracer.take(*teams)
+            for tracer, bands in zip(inside.tracers, made, strict=True):
+                tracer.take(*bands)
 
         self._whole(take)
 

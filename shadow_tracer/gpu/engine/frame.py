@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays
 from shadow_tracer.gpu.accelerators.registry import side_by_side
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import FrameGraphs
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.device.workers import Job, Workers
 from shadow_tracer.gpu.engine.automatic import Chooser, Names, Situation
-from shadow_tracer.gpu.engine.balance import Balance
-from shadow_tracer.gpu.engine.cuts import LEAST, even_cuts
+from shadow_tracer.gpu.engine.band import Band
+from shadow_tracer.gpu.engine.bands import LEAST, Balance, even_bands
 from shadow_tracer.gpu.engine.gather import Traced, gather_counters, gather_stages, gather_states
-from shadow_tracer.gpu.engine.share import Share
 from shadow_tracer.gpu.engine.spheres import trace_spheres
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
@@ -31,8 +30,7 @@ from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.anchor import depth_anchor, points_anchor
 from shadow_tracer.gpu.samples.held import Samples, Source
-from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility import sphere_points
 from shadow_tracer.gpu.visibility.packed_states import PackedStates
 from shadow_tracer.gpu.visibility.planes import StatePlanes
@@ -66,7 +64,7 @@ class FrameTracer:
         names: pipeline and variant.
         chooser: who chooses the pipeline of each frame; None if it is always ``names``.
         graphs: whether frames are recorded where the pipeline allows it.
-        workers: threads for the shares of the rays that are worked on side by side where the pipeline allows it.
+        workers: threads for the bands of the rays that are worked on side by side where the pipeline allows it.
         loaded: which kernels have been launched by this tracer, and by anybody on the device; both are added to.
     """
 
@@ -90,32 +88,32 @@ class FrameTracer:
         self._loaded, self._loaded_by_anybody = loaded
         self._cold = False  # whether this frame has loaded kernels, or recorded its launches
         mirrored = not forms.wide(device) or graphs
-        self._frame = FrameBuffers(bounds, device, workers.count, mirrored=mirrored)
-        self._planes = StatePlanes(self._frame) if mirrored else None
+        self._whole = SampleSet(bounds, device, workers.count, mirrored=mirrored)
+        self._planes = StatePlanes(self._whole) if mirrored else None
         self._scene, self._synced = scene, Revision()
-        records = TriangleRecords(bounds, self._scene, self._frame.light_frame_of, self._frame.host)
-        self._context = Context(self._frame, self._scene, records, self.stages)
+        records = TriangleRecords(bounds, self._scene, self._whole.light_frame_of, self._whole.host)
+        self._context = Context(self._whole, self._scene, records, self.stages)
         self._anchor: Anchor | None = None
         self._lights: tuple[object, ...] = ()
         self._samples = Samples(forms.wide(device) and not graphs)
-        self.take(*self.make_teams(names, chooser))
+        self.take(*self.make_bands(names, chooser))
 
     @property
     def _pipeline(self) -> Accelerator:
-        return self._team[0].pipeline
+        return self._bands[0].pipeline
 
-    def make_teams(self, names: Names, chooser: Chooser | None) -> tuple[Chooser | None, dict[Names, list[Share]]]:
+    def make_bands(self, names: Names, chooser: Chooser | None) -> tuple[Chooser | None, dict[Names, list[Band]]]:
         """Allocate the buffers of a pipeline, or of all that ``chooser`` chooses among, beside those in use."""
-        teams: dict[Names, list[Share]] = {}
+        bands_of: dict[Names, list[Band]] = {}
         for each in chooser.candidates if chooser else [names]:
-            shares = self._workers.count if side_by_side(*each) else 1
-            teams[each] = [Share(self._part(k, shares), *each, not self._use_graphs) for k in range(shares)]
-        return chooser, teams
+            bands = self._workers.count if side_by_side(*each) else 1
+            bands_of[each] = [Band(self._part(k, bands), *each, not self._use_graphs) for k in range(bands)]
+        return chooser, bands_of
 
-    def take(self, chooser: Chooser | None, teams: dict[Names, list[Share]]) -> None:
-        """Use other shares from the next frame on; the old ones are freed."""
-        self._chooser, self._teams, self._team = chooser, teams, next(iter(teams.values()))
-        self._balances = {names: Balance(len(team)) for names, team in teams.items() if len(team) > 1}
+    def take(self, chooser: Chooser | None, bands_of: dict[Names, list[Band]]) -> None:
+        """Use other bands from the next frame on; the old ones are freed."""
+        self._chooser, self._bands_of, self._bands = chooser, bands_of, next(iter(bands_of.values()))
+        self._balances = {names: Balance(len(bands)) for names, bands in bands_of.items() if len(bands) > 1}
         self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
@@ -128,7 +126,7 @@ class FrameTracer:
     @property
     def pipelines(self) -> frozenset[str]:
         """Names of the pipelines that may trace a frame: several if one of them is chosen each time."""
-        return frozenset(name for name, _ in self._teams)
+        return frozenset(name for name, _ in self._bands_of)
 
     def _choose(self, change: int, rays: int, lights: Sequence[Light]) -> Situation | None:
         """Hand the frame to the pipeline that is expected to be the fastest."""
@@ -138,30 +136,30 @@ class FrameTracer:
         count = sum(light.samples if isinstance(light, SphereLight) else 1 for light in lights)
         situation = Situation(change, rays, self._scene.live_triangles, count, look != self._lights)
         self._lights = look
-        team = self._teams[self._chooser.choose(situation)]
-        if team is not self._team:
+        bands = self._bands_of[self._chooser.choose(situation)]
+        if bands is not self._bands:
             # Each makes its own of a light (corners), and tells by the records whether it has it.
             self._context.records.forget()
-            self._team = team
+            self._bands = bands
         return situation
 
     def _learn(self, situation: Situation | None, begin: float) -> None:
         """Tell the chooser what the frame took."""
         if situation is not None and self._chooser is not None:
-            self._chooser.learn(self._team[0].names, situation, (time.perf_counter() - begin) * 1e3)
+            self._chooser.learn(self._bands[0].names, situation, (time.perf_counter() - begin) * 1e3)
 
-    def _part(self, number: int, shares: int) -> Context:
-        """The context of a share; the only one works on the whole."""
-        if shares == 1:
+    def _part(self, number: int, bands: int) -> Context:
+        """The context of a band; the only one works on the whole."""
+        if bands == 1:
             return self._context
-        frame = FrameBuffers(self.bounds, self.device, shares, self._frame, number)
-        return replace(self._context, frame=frame, stages=Stages(self.device))
+        samples = SampleSet(self.bounds, self.device, bands, self._whole, number)
+        return replace(self._context, samples=samples, stages=Stages(self.device))
 
     def nbytes(self) -> int:
         """Bytes reserved on the device, the scene aside."""
-        own = self._frame.nbytes() + self._context.records.nbytes() + self._context.shared.nbytes()
+        own = self._whole.nbytes() + self._context.records.nbytes() + self._context.shared.nbytes()
         own += self._planes.nbytes() if self._planes else 0
-        return own + sum(share.nbytes() for share in self._all_shares())
+        return own + sum(band.nbytes() for band in self._all_bands())
 
     def holds(self, depth: np.ndarray) -> bool:
         """Whether ``depth`` is, bit for bit, the depth image last traced, whatever points have been asked for since.
@@ -177,24 +175,24 @@ class FrameTracer:
         before = self._synced
         with self.stages.stage("upload"):
             situation = self._choose(self._sync(scene), depth.size, lights)
-            begin, team = time.perf_counter(), self._working(depth.size)
-            working = [share for share in team if share.frame.count]
-            new = not self._samples.has_depth(self._frames(working), depth, camera, bias)
+            begin, bands = time.perf_counter(), self._working(depth.size)
+            working = [band for band in bands if band.samples.count]
+            new = not self._samples.has_depth(self._sets(working), depth, camera, bias)
             if new:  # else the cuts stay where they are, and with them all that is kept of the rays
-                working = _deal(team, self._cut(team, depth), camera.width)
-                self._samples.put_depth(self._frames(working), depth, camera, bias)
+                working = _deal(bands, self._cut(bands, depth), camera.width)
+                self._samples.put_depth(self._sets(working), depth, camera, bias)
         self._anchor = depth_anchor(depth, camera, bias, self._anchor)
-        caught_up = all(share.followed == before for share in working)
+        caught_up = all(band.followed == before for band in working)
         traced = self._trace_all(working, lights, Source.of(depth, bias) if new else None)
         self._learn(situation if caught_up and not self._cold else None, begin)
-        if new and not self._cold and len(team) > 1:
-            self._balances[team[0].names].learn([share.busy for share in team])
+        if new and not self._cold and len(bands) > 1:
+            self._balances[bands[0].names].learn([band.busy for band in bands])
         return traced
 
-    def _cut(self, team: Sequence[Share], depth: np.ndarray) -> list[tuple[int, int]]:
-        if len(team) == 1:
+    def _cut(self, bands: Sequence[Band], depth: np.ndarray) -> list[tuple[int, int]]:
+        if len(bands) == 1:
             return [(0, depth.size)]
-        return self._balances[team[0].names].cut(depth, team[0].frame.bounds.max_rays)
+        return self._balances[bands[0].names].cut(depth, bands[0].samples.bounds.max_rays)
 
     def trace_points(
         self,
@@ -210,9 +208,9 @@ class FrameTracer:
         self._begin_frame(cull)
         with self.stages.stage("upload"):
             self._choose(self._sync(scene), len(points), lights)
-            team = self._working(len(points))
-            working = _deal(team, even_cuts(len(points), len(team)), 0)
-            self._samples.put_points(self._frames(working), points, bias, valid)
+            bands = self._working(len(points))
+            working = _deal(bands, even_bands(len(points), len(bands)), 0)
+            self._samples.put_points(self._sets(working), points, bias, valid)
         self._anchor = points_anchor(points, valid, bias, self._anchor)
         return self._trace_all(working, lights, None)
 
@@ -220,23 +218,23 @@ class FrameTracer:
         """Reset the times of all stages."""
         self._context.records.front_face_culling = cull
         self._cold = False
-        for share in self._all_shares():
-            share.stages.reset()
-            share.busy = 0.0
+        for band in self._all_bands():
+            band.stages.reset()
+            band.busy = 0.0
         self.stages.reset()
 
-    def _working(self, count: int) -> list[Share]:
-        """The shares that so many samples are worth: all, or the first alone if it has room for them."""
-        few = count < LEAST * len(self._team) and count <= self._team[0].frame.bounds.max_rays
-        return self._team[:1] if few else self._team
+    def _working(self, count: int) -> list[Band]:
+        """The bands that so many samples are worth: all, or the first alone if it has room for them."""
+        few = count < LEAST * len(self._bands) and count <= self._bands[0].samples.bounds.max_rays
+        return self._bands[:1] if few else self._bands
 
     @staticmethod
-    def _frames(working: Sequence[Share]) -> list[FrameBuffers]:
-        return [share.frame for share in working]
+    def _sets(working: Sequence[Band]) -> list[SampleSet]:
+        return [band.samples for band in working]
 
-    def _all_shares(self) -> list[Share]:
+    def _all_bands(self) -> list[Band]:
         """Of all pipelines."""
-        return [share for team in self._teams.values() for share in team]
+        return [band for bands in self._bands_of.values() for band in bands]
 
     def _sync(self, scene: Scene) -> int:
         """Copy the scene; returns what has changed of it since the last frame: 0 nothing, 1 positions, 2 triangles."""
@@ -245,9 +243,9 @@ class FrameTracer:
         self._synced = after = self._scene.revision
         return 0 if after == before else 1 if after.topology == before.topology else 2
 
-    def _trace_all(self, working: list[Share], lights: Sequence[Light], source: Source | None) -> Traced:
-        for share in working:
-            share.follow()
+    def _trace_all(self, working: list[Band], lights: Sequence[Light], source: Source | None) -> Traced:
+        for band in working:
+            band.follow()
         if not sphere_points.is_soft(lights):
             return self._trace_lights(working, lights, source)
 
@@ -260,12 +258,12 @@ class FrameTracer:
         self._launched(kernels)
         return traced
 
-    def _trace_lights(self, working: list[Share], lights: Sequence[HardLight], source: Source | None) -> Traced:
+    def _trace_lights(self, working: list[Band], lights: Sequence[HardLight], source: Source | None) -> Traced:
         """``source``: what samples are to be made of, None if there are some."""
         assert self._anchor is not None
         light_frames = [make_light_frame(light, self._anchor, index) for index, light in enumerate(lights)]
-        for frame in {id(frame): frame for frame in (self._frame, *self._frames(working))}.values():
-            frame.set_lights(light_frames)
+        for samples in {id(samples): samples for samples in (self._whole, *self._sets(working))}.values():
+            samples.set_lights(light_frames)
         passes = self._passes(working, light_frames)
         stale = self._context.records.plan(light_frames, len(passes[0].lights))
         self._launch(working, passes, source, stale)
@@ -274,7 +272,7 @@ class FrameTracer:
                 self._planes.fetch(len(lights))
         # Further passes may make another light's records in the place of these.
         silent = self._context.records.silent(len(lights) - 1)
-        further = sum(share.finish(passes) for share in working)
+        further = sum(band.finish(passes) for band in working)
         with self.stages.stage("download"):
             found = self._found(working, len(lights), further > 0)
             counters = gather_counters(working)
@@ -283,7 +281,7 @@ class FrameTracer:
         counters["overflow_passes"] = further + counters.pop("overflows")
         return Traced(found, gather_stages(self.stages, working), counters)
 
-    def _found(self, working: Sequence[Share], lights: int, anew: bool) -> PackedStates | npt.NDArray[np.uint8]:
+    def _found(self, working: Sequence[Band], lights: int, anew: bool) -> PackedStates | npt.NDArray[np.uint8]:
         """States, of which those of a GPU have been fetched; ``anew``: but have changed since."""
         if not self._planes:
             return gather_states(working, lights)
@@ -292,18 +290,18 @@ class FrameTracer:
             self._planes.fetch(lights)
         return self._planes.read(lights)
 
-    def _passes(self, working: Sequence[Share], light_frames: Sequence[light_frame.LightFrame]) -> list[Pass]:
+    def _passes(self, working: Sequence[Band], light_frames: Sequence[light_frame.LightFrame]) -> list[Rays]:
         """As many lights together as the pipeline takes and as there is room for."""
         together = min(
             self._pipeline.traits.lights_at_once,
             len(light_frames),
-            *(share.frame.bounds.max_rays // max(share.frame.count, 1) for share in working),
+            *(band.samples.bounds.max_rays // max(band.samples.count, 1) for band in working),
             self._context.records.room(),
         )
-        return [Pass(tuple(light_frames[first : first + together])) for first in range(0, len(light_frames), together)]
+        return [Rays(tuple(light_frames[first : first + together])) for first in range(0, len(light_frames), together)]
 
     def _launch(
-        self, working: list[Share], passes: Sequence[Pass], source: Source | None, stale: Sequence[Changed]
+        self, working: list[Band], passes: Sequence[Rays], source: Source | None, stale: Sequence[Changed]
     ) -> None:
         """Everything of a frame between upload and download, further passes aside."""
         first = working[0]
@@ -313,8 +311,8 @@ class FrameTracer:
         loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
         self._cold |= not loaded
         if self._use_graphs and first.pipeline.traits.recordable:
-            frame, scene, records = first.frame, self._scene, self._context.records
-            key = (*kernels[:2], frame.count, frame.width, scene.triangle_count, scene.vertex_count)
+            samples, scene, records = first.samples, self._scene, self._context.records
+            key = (*kernels[:2], samples.count, samples.width, scene.triangle_count, scene.vertex_count)
             key = (*key, records.places, records.stride)
             stale = self._mend(first, passes, stale)
 
@@ -336,14 +334,14 @@ class FrameTracer:
         self._loaded_by_anybody.add(kernels)
 
     @staticmethod
-    def _mend(share: Share, passes: Sequence[Pass], stale: Sequence[Changed]) -> list[Changed]:
+    def _mend(band: Band, passes: Sequence[Rays], stale: Sequence[Changed]) -> list[Changed]:
         """Make what is to be made of a part of the triangles before what is recorded, which else would be another for
         every part; returns what is left to make. The place of such a light holds its records, so it is that of no light
         before it."""
         left = list(stale)
-        for light in (light for work in passes for light in work.lights):
+        for light in (light for rays in passes for light in rays.lights):
             if left[light.number] and not left[light.number].everything:
-                share.aim(Pass((light,)))
+                band.aim((light,))
                 left[light.number] = Changed()
         return left
 
@@ -353,34 +351,34 @@ class FrameTracer:
 
     def _run(
         self,
-        working: Sequence[Share],
-        passes: Sequence[Pass],
+        working: Sequence[Band],
+        passes: Sequence[Rays],
         source: Source | None,
         run: Callable[[Sequence[Job]], None],
     ) -> None:
-        """The order of a frame: of each pass first what one share makes for all of them."""
-        for number, work in enumerate(passes):
-            working[0].aim(work)
+        """The order of a frame: of each pass first what one band makes for all of them."""
+        for number, rays in enumerate(passes):
+            working[0].aim(rays.lights)
 
-            def job(share: Share, work: Pass = work, first: bool = number == 0) -> None:
+            def job(band: Band, rays: Rays = rays, first: bool = number == 0) -> None:
                 begin = time.perf_counter()
                 if first:
-                    share.begin(source)
-                share.project(work)
-                share.trace(work)
-                share.busy += time.perf_counter() - begin
+                    band.begin(source)
+                band.project(rays)
+                band.trace(rays)
+                band.busy += time.perf_counter() - begin
 
-            run([partial(job, share) for share in working])
+            run([partial(job, band) for band in working])
         if self._planes:
             with self.stages.stage("download"):
-                self._planes.pack(sum(len(work.lights) for work in passes))
+                self._planes.pack(sum(len(rays.lights) for rays in passes))
 
 
-def _deal(team: Sequence[Share], cuts: Sequence[tuple[int, int]], width: int) -> list[Share]:
-    """Tell each share its samples; returns those that have any."""
-    for share, (first, end) in zip(team, cuts, strict=True):
-        share.frame.set_samples(end - first, width, first)
-    return [share for share in team if share.frame.count]
+def _deal(bands: Sequence[Band], cuts: Sequence[tuple[int, int]], width: int) -> list[Band]:
+    """Tell each band its samples; returns those that have any."""
+    for band, (first, end) in zip(bands, cuts, strict=True):
+        band.samples.set_samples(end - first, width, first)
+    return [band for band in bands if band.samples.count]
 
 
 def _one_after_the_other(jobs: Sequence[Job]) -> None:

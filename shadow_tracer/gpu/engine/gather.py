@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a frame has found, gathered from the shares that worked on it."""
+"""What a frame has found, gathered from the bands that worked on it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.gpu.device.stages import Stages
-from shadow_tracer.gpu.engine.share import Share
+from shadow_tracer.gpu.engine.band import Band
 from shadow_tracer.gpu.visibility import sphere_points
 from shadow_tracer.gpu.visibility.packed_states import PackedStates, as_bytes
 
@@ -31,32 +31,32 @@ class Traced:
         return as_bytes(self.found)
 
 
-def gather_states(working: Sequence[Share], lights: int) -> npt.NDArray[np.uint8]:
+def gather_states(working: Sequence[Band], lights: int) -> npt.NDArray[np.uint8]:
     """(L, N) states for ``lights`` lights."""
-    states = np.empty((lights, sum(share.frame.count for share in working)), np.uint8)
-    for share in working:
-        share.copy_states(lights, states)
+    states = np.empty((lights, sum(band.samples.count for band in working)), np.uint8)
+    for band in working:
+        band.copy_states(lights, states)
     return states
 
 
-def gather_counters(working: Sequence[Share]) -> dict[str, int]:
+def gather_counters(working: Sequence[Band]) -> dict[str, int]:
     """Counters of all together; each pipeline is told those of its own."""
     total: dict[str, int] = {}
-    for share in working:
-        counters = share.frame.read_counters()
-        share.pipeline.learn(counters)
+    for band in working:
+        counters = band.samples.read_counters()
+        band.pipeline.learn(counters)
         total = sphere_points.add_up(total, counters)
     return total
 
 
-def gather_stages(whole: Stages, working: Sequence[Share]) -> dict[str, float]:
-    """Milliseconds per stage; ``whole`` are the times of what is done for all at once. Of shares that worked side by
+def gather_stages(whole: Stages, working: Sequence[Band]) -> dict[str, float]:
+    """Milliseconds per stage; ``whole`` are the times of what is done for all at once. Of bands that worked side by
     side, the times of the slowest; and of stages it did not have, what others took: one of them does for all what
     depends on scene and lights alone."""
     own = whole.read()
     if len(working) == 1 and working[0].stages is whole:
         return own
-    theirs = [share.stages.read() for share in working]
+    theirs = [band.stages.read() for band in working]
     theirs.append(max(theirs, key=lambda times: sum(times.values())))
     together: dict[str, float] = {name: own[name] for name in own if name != "download"}
     for times in theirs:

@@ -7,15 +7,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from shadow_tracer.gpu.device.stages import Stages
+from shadow_tracer.gpu.engine.band import Band
 from shadow_tracer.gpu.engine.gather import Traced, gather_stages
-from shadow_tracer.gpu.engine.share import Share
 from shadow_tracer.gpu.visibility import sphere_points
-from shadow_tracer.gpu.visibility.queries import MASK_POINTS
+from shadow_tracer.gpu.visibility.queries import MASK, MASK_POINTS
 from shadow_tracer.scene.lights import HardLight, Light
 
 
 def trace_spheres(
-    working: Sequence[Share],
+    working: Sequence[Band],
     lights: Sequence[Light],
     together: int,
     trace: Callable[[Sequence[HardLight], bool], Traced],
@@ -24,13 +24,13 @@ def trace_spheres(
     """States of all lights.
 
     Args:
-        working: the shares of the frame.
+        working: the bands of the frame.
         together: the most hard lights of a batch.
         trace: traces hard lights; whether they are the first of the frame.
-        whole: times of what is done for all shares at once.
+        whole: times of what is done for all bands at once.
     """
-    masks = working[0].pipeline.traits.masks
-    tally = sphere_points.Tally(lights, sum(share.frame.count for share in working), together, masks)
+    masks = MASK in working[0].pipeline.traits.queries
+    tally = sphere_points.Tally(lights, sum(band.samples.count for band in working), together, masks)
     counters: dict[str, int] = {}
     stages: dict[str, float] = {}
     for first, batch in tally.batches():
@@ -40,9 +40,9 @@ def trace_spheres(
         for place, number, sphere in tally.spheres(first, len(batch)):
             for begin in range(0, sphere.samples, MASK_POINTS):
                 points = sphere.points[begin : begin + MASK_POINTS]
-                for share in working:
-                    seen, counts = share.see(place, points)
-                    tally.count(number, share.frame.first, seen)
+                for band in working:
+                    seen, counts = band.see(place, points)
+                    tally.count(number, band.samples.first, seen)
                     counters = {name: value + counts.get(name, 0) for name, value in counters.items()}
             stages = gather_stages(whole, working)
     states, reached = tally.result()

@@ -12,12 +12,12 @@ import warp as wp
 
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.samples.pinhole import make_pinhole
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.camera import Camera, RayTable
 from shadow_tracer.scene.checks import FloatArray
 
-Parts = list[tuple[FrameBuffers, int, int]]
+Parts = list[tuple[SampleSet, int, int]]
 
 
 class Source(NamedTuple):
@@ -47,7 +47,7 @@ class Samples:
 
     def __init__(self, compare: bool) -> None:
         self._compare = compare
-        self._depth: tuple[FrameBuffers, np.dtype[Any], int] | None = None  # where the image is, its format, its pixels
+        self._depth: tuple[SampleSet, np.dtype[Any], int] | None = None  # where the image is, its format, its pixels
         self._source: tuple[Hashable, Parts] | None = None  # what the samples in the buffers were made of
         self._table: RayTable | None = None  # what the buffers' ray table holds
 
@@ -59,12 +59,12 @@ class Samples:
         """Samples are made again when they come next; the image stays."""
         self._source = None
 
-    def has_depth(self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: Bias) -> bool:
+    def has_depth(self, frames: Sequence[SampleSet], depth: np.ndarray, camera: Camera, bias: Bias) -> bool:
         """Whether the samples in ``frames`` are those of a depth image."""
         source = _look(depth, camera, bias), _parts_of(frames)
         return self._compare and self._source == source and self.holds(depth)
 
-    def put_depth(self, frames: Sequence[FrameBuffers], depth: np.ndarray, camera: Camera, bias: Bias) -> None:
+    def put_depth(self, frames: Sequence[SampleSet], depth: np.ndarray, camera: Camera, bias: Bias) -> None:
         """A depth image, (H, W) float32 metres or uint16 millimetres, C order, of which samples are to be made."""
         self.forget()
         flat = depth.reshape(-1)
@@ -81,7 +81,7 @@ class Samples:
 
     def put_points(
         self,
-        frames: Sequence[FrameBuffers],
+        frames: Sequence[SampleSet],
         points: FloatArray,
         bias: float,
         valid: npt.NDArray[np.bool_] | None,
@@ -95,11 +95,11 @@ class Samples:
         for frame, first, size in parts:
             frame.renew()
             # On the CPU straight into the buffer: without a copy in between it takes two thirds of the time.
-            rows = frame.samples.numpy()[:size] if forms.wide(frame.device) else np.empty((size, 4))
+            rows = frame.positions.numpy()[:size] if forms.wide(frame.device) else np.empty((size, 4))
             rows[:, :3] = points[first : first + size]
             rows[:, 3] = bias
             if not forms.wide(frame.device):
-                frame.upload(frame.samples, rows)
+                frame.upload(frame.positions, rows)
             frame.upload(frame.valid, good[first : first + size])
         self._source = ("points", bias), parts
 
@@ -113,8 +113,8 @@ class Samples:
         return _equal([(held.view(integer), depth.reshape(-1).view(integer))])
 
 
-def depth_of(frame: FrameBuffers, kind: Any) -> wp.array:
-    """The buffer for depth images of a format; all shares of a frame have the same one."""
+def depth_of(frame: SampleSet, kind: Any) -> wp.array:
+    """The buffer for depth images of a format; all bands of a frame have the same one."""
     return frame.depth_metres if np.dtype(kind) == np.float32 else frame.depth_millimetres
 
 
@@ -125,14 +125,14 @@ def _look(depth: np.ndarray, camera: Camera, bias: Bias) -> Hashable:
     return *optics, pose, bias, depth.dtype.str
 
 
-def _parts_of(frames: Sequence[FrameBuffers]) -> Parts:
+def _parts_of(frames: Sequence[SampleSet]) -> Parts:
     return [(frame, frame.first, frame.count) for frame in frames]
 
 
 def _are_there(parts: Parts, points: FloatArray, good: npt.NDArray[np.uint8]) -> bool:
     pairs = []
     for frame, first, size in parts:
-        pairs.append((frame.samples.numpy()[:size, :3], points[first : first + size]))
+        pairs.append((frame.positions.numpy()[:size, :3], points[first : first + size]))
         pairs.append((frame.valid.numpy()[:size], good[first : first + size]))
     return _equal(pairs)
 

@@ -8,17 +8,16 @@ import numpy as np
 
 from shadow_tracer.gpu.device.counters import RAYS
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 
 
 class KeptRays:
     """Remembers of the pass that was projected last what tracing changes: states, and the number of rays. The rays lie
-    where they lay; whoever overwrites them gives the buffers another ``FrameBuffers.revision``. For the CPU."""
+    where they lay; whoever overwrites them gives the buffers another ``SampleSet.revision``. For the CPU."""
 
-    def __init__(self, frame: FrameBuffers) -> None:
-        self._frame = frame
-        self._states = np.empty(frame.bounds.max_rays * frame.bounds.max_lights, np.uint8)
+    def __init__(self, samples: SampleSet) -> None:
+        self._samples = samples
+        self._states = np.empty(samples.bounds.max_rays * samples.bounds.max_lights, np.uint8)
         self._rays = 0
         self._revision = -1
         self._lights: tuple[LightFrame, ...] = ()
@@ -30,30 +29,30 @@ class KeptRays:
 
     def rays_so_far(self) -> int:
         """Rays of the passes of this frame that have been made."""
-        return int(self._frame.counters.numpy()[:, RAYS].sum())
+        return int(self._samples.counters.numpy()[:, RAYS].sum())
 
-    def keep(self, work: Pass, before: int) -> None:
+    def keep(self, lights: tuple[LightFrame, ...], before: int) -> None:
         """The rays of a pass have just been made, and nothing of them yet; ``before``: rays of earlier passes."""
-        frame = self._frame
-        states = frame.states_of(work.first, len(work.lights)).numpy()
+        samples = self._samples
+        states = samples.states_of(lights[0].number, len(lights)).numpy()
         self._states[: states.size] = states
         self._rays = self.rays_so_far() - before
-        self._revision, self._lights, self._structured = frame.revision, work.lights, False
+        self._revision, self._lights, self._structured = samples.revision, lights, False
 
     def structured(self) -> None:
         """The pipeline has made of the rays what it can use again."""
         self._structured = True
 
-    def recall(self, work: Pass) -> bool:
+    def recall(self, lights: tuple[LightFrame, ...]) -> bool:
         """Whether the rays of the pass are there, and what the pipeline has made of them; then their states are again
         what they were before tracing."""
-        frame = self._frame
-        same = len(work.lights) == len(self._lights) and all(map(_is, work.lights, self._lights))
-        if not (same and self._structured and self._revision == frame.revision):
+        samples = self._samples
+        same = len(lights) == len(self._lights) and all(map(_is, lights, self._lights))
+        if not (same and self._structured and self._revision == samples.revision):
             return False
-        states = frame.states_of(work.first, len(work.lights)).numpy()
+        states = samples.states_of(lights[0].number, len(lights)).numpy()
         states[:] = self._states[: states.size]
-        frame.counters.numpy()[0, RAYS] += self._rays
+        samples.counters.numpy()[0, RAYS] += self._rays
         return True
 
     def nbytes(self) -> int:

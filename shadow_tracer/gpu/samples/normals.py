@@ -3,7 +3,7 @@
 exact for a sample is exact for one that has been moved.
 
 The normal is that of ``scene/normals.py``, which says how it is found, in the same order of operations without
-contraction: the same bits. It needs pixels of other shares, so it looks at the whole image.
+contraction: the same bits. It needs pixels of other bands, so it looks at the whole image.
 
 CUDA takes one pixel per thread (``displace_samples``). On the CPU a thread takes a block of pixels, and the compiler
 puts the loop over them, for one neighbour at a time, into vector registers (``displace_block``).
@@ -17,7 +17,7 @@ import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.samples.pinhole import Pinhole
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.scene.checks import LARGEST
 from shadow_tracer.scene.normals import FLATTEST, LARGEST_JUMP, MEASURED
 
@@ -42,7 +42,7 @@ _STRETCHES = native.snippet(
 def displaced(
     i: int, camera: Pinhole, table: wp.array(dtype=wp.vec2), depth: wp.array(dtype=wp.float32), sample: wp.vec4d
 ) -> wp.vec4d:
-    """``sample`` of pixel ``i`` of a share, moved along its normal if it has one."""
+    """``sample`` of pixel ``i`` of a band, moved along its normal if it has one."""
     ...
 
 
@@ -111,12 +111,12 @@ wp.overload(displace_blocks, {"depth": wp.array(dtype=wp.float32)})
 wp.overload(displace_blocks, {"depth": wp.array(dtype=wp.uint16)})
 
 
-def displace(depth: wp.array, buffers: FrameBuffers) -> None:
+def displace(depth: wp.array, buffers: SampleSet) -> None:
     """Move the samples that have just been made of ``depth``, the whole image, as ``buffers.pinhole`` says."""
     wide = forms.wide(buffers.device)
 
     def prepare() -> tuple[int, list[Any]]:
-        inputs = [buffers.pinhole, buffers.ray_table, depth, buffers.samples]
+        inputs = [buffers.pinhole, buffers.ray_table, depth, buffers.positions]
         return (-(-buffers.count // _BLOCK), [buffers.count, *inputs]) if wide else (buffers.count, inputs)
 
     buffers.launch(displace_blocks if wide else displace_samples, (depth.ptr, buffers.count), prepare)

@@ -16,7 +16,7 @@ class Pinhole:
 
     width: wp.int32
     first: wp.int32  # pixel of the image that the buffers begin with
-    tabled: wp.int32  # whether rays come from the table (FrameBuffers.ray_table), and not from the four below
+    tabled: wp.int32  # whether rays come from the table (SampleSet.ray_table), and not from the four below
     fx: wp.float64
     fy: wp.float64
     cx: wp.float64

@@ -18,7 +18,7 @@ import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.samples.pinhole import Pinhole
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.scene.checks import LARGEST
 
 # Pixels per thread of the vectorised loop.
@@ -135,14 +135,14 @@ wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.float32)})
 wp.overload(unproject_blocks, {"depth": wp.array(dtype=wp.uint16)})
 
 
-def unproject_image(depth: wp.array, buffers: FrameBuffers) -> None:
+def unproject_image(depth: wp.array, buffers: SampleSet) -> None:
     """Samples and validity of the ``buffers.count`` pixels of ``depth``, float32 metres or uint16 millimetres, seen by
     ``buffers.pinhole``."""
     wide = forms.wide(buffers.device)
 
     def prepare() -> tuple[int, list[Any]]:
         units = wp.float64(1.0 if depth.dtype == wp.float32 else 1000.0)
-        inputs = [buffers.pinhole, buffers.ray_table, units, depth, buffers.samples, buffers.valid]
+        inputs = [buffers.pinhole, buffers.ray_table, units, depth, buffers.positions, buffers.valid]
         return (-(-buffers.count // _BLOCK), [buffers.count, *inputs]) if wide else (buffers.count, inputs)
 
     buffers.launch(unproject_blocks if wide else unproject, (depth.ptr, buffers.count), prepare)

@@ -15,7 +15,7 @@ import warp as wp
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.counters import RAYS
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 
 # Samples per thread of the vectorised loop.
 _BLOCK = 256
@@ -83,7 +83,7 @@ def project_blocks(
     project_block(wp.tid() * _BLOCK, count, light[0], counted, RAYS, samples, valid, rays, states, counters)
 
 
-def project(buffers: FrameBuffers, light: int, place: int, counted: bool = False) -> None:
+def project(buffers: SampleSet, light: int, place: int, counted: bool = False) -> None:
     """Rays of all samples and their states for light number ``light``, the one at ``place`` in its pass; ``counted``:
     they are made once more, and have been counted."""
     wide = forms.wide(buffers.device)
@@ -92,7 +92,7 @@ def project(buffers: FrameBuffers, light: int, place: int, counted: bool = False
         inputs = [
             buffers.light_frame_of[light],
             int(counted),
-            buffers.samples,
+            buffers.positions,
             buffers.valid,
             buffers.rays_of(place),
             buffers.states_of(light),

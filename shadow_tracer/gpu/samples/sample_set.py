@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Device buffers of a frame, allocated once from the declared bounds.
+"""A set of samples on the device: buffers for all that they ask and are answered, allocated once from the declared
+bounds.
 
 Live counts are host integers where the host knows them (samples, triangles) and device integers where only the device
 does (queue length, counters). Nothing here allocates per frame.
@@ -23,26 +24,26 @@ from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.samples.pinhole import Pinhole
 from shadow_tracer.scene.bounds import Bounds
 
-# Rays that a share has room for, in parts of an even one: cuts are moved until all take equally long (``balance.py``).
+# Rays that a band has room for, in parts of an even one: cuts are moved until all take equally long (``bands.py``).
 _ROOM = 1.25
 
 
-def share_of(bounds: Bounds, shares: int) -> Bounds:
-    """Capacities of one of several shares of the rays; of each list at least one place."""
+def bounds_of_band(bounds: Bounds, bands: int) -> Bounds:
+    """Capacities of one of several bands of the rays; of each list at least one place."""
     return replace(
         bounds,
-        max_rays=min(bounds.max_rays, math.ceil(_ROOM * bounds.max_rays / shares)),
-        grid_entries=max(1, bounds.grid_entries // shares),
+        max_rays=min(bounds.max_rays, math.ceil(_ROOM * bounds.max_rays / bands)),
+        grid_entries=max(1, bounds.grid_entries // bands),
     )
 
 
-class FrameBuffers:
-    """Everything a frame needs on the device: samples, rays, lights, states, queue, counters.
+class SampleSet:
+    """Samples of a frame and what belongs to them on the device: their rays, lights, states, queue, counters.
 
     Args:
         bounds: capacities.
-        shares: the number of shares that the buffers can be cut into.
-        whole: buffers in whose memory these are to lie, as share number ``number``.
+        bands: the number of bands that the buffers can be cut into.
+        whole: buffers in whose memory these are to lie, as band number ``number``.
         mirrored: whether results are packed on the device and copied to the host all at once, see ``StatePlanes``.
     """
 
@@ -50,16 +51,16 @@ class FrameBuffers:
         self,
         bounds: Bounds,
         device: Any,
-        shares: int = 1,
-        whole: FrameBuffers | None = None,
+        bands: int = 1,
+        whole: SampleSet | None = None,
         number: int = 0,
         mirrored: bool = False,
     ) -> None:
         if whole is not None:
-            bounds = share_of(bounds, shares)
+            bounds = bounds_of_band(bounds, bands)
         self.bounds = bounds
         self.device = device
-        self.number, self.shares = (number, shares) if whole is not None else (0, 1)
+        self.number, self.bands = (number, bands) if whole is not None else (0, 1)
 
         def take(name: str, count: int, dtype: Any) -> wp.array:
             if whole is None:
@@ -68,18 +69,18 @@ class FrameBuffers:
 
         self.upload: Uploads = whole.upload if whole else Uploads(device)
         self.host = HostCopies(device, mirrored)
-        rays = bounds.max_rays if whole else shares * share_of(bounds, shares).max_rays
-        # Whole images, also for shares: a normal needs pixels beyond the cuts between them.
+        rays = bounds.max_rays if whole else bands * bounds_of_band(bounds, bands).max_rays
+        # Whole images, also for bands: a normal needs pixels beyond the cuts between them.
         self.depth_metres: wp.array = (
             whole.depth_metres if whole else wp.empty(bounds.max_rays, dtype=wp.float32, device=device)
         )
         self.depth_millimetres: wp.array = (
             whole.depth_millimetres if whole else wp.empty(bounds.max_rays, dtype=wp.uint16, device=device)
         )
-        self.samples = take("samples", rays, wp.vec4d)
+        self.positions = take("positions", rays, wp.vec4d)
         self.valid = take("valid", rays, wp.uint8)
         self.rays = take("rays", rays, wp.vec4)
-        # Of the whole image, also for shares: it stays when the cuts between them move.
+        # Of the whole image, also for bands: it stays when the cuts between them move.
         self.ray_table: wp.array = whole.ray_table if whole else wp.empty(bounds.max_rays, dtype=wp.vec2, device=device)
         self._pinhole = HostValues(Pinhole, 1, device)
         self._light_frames = HostValues(LightFrame, bounds.max_lights, device)
@@ -89,7 +90,7 @@ class FrameBuffers:
         # Points of a light that each sample sees, as bits: where its ray was, which this question needs no more.
         self._seen = wp.array(ptr=self.rays.ptr, dtype=wp.uint64, shape=self.rays.shape, device=device)
         self.states = take("states", rays * bounds.max_lights, wp.uint8)  # light after light
-        # None in the wide form, see ``visibility/answers.py``; the CUDA form has one share.
+        # None in the wide form, see ``visibility/answers.py``; the CUDA form has one band.
         places = 0 if forms.wide(device) else bounds.queue_capacity
         self.queue = wp.empty(places, dtype=wp.vec2i, device=device)
         self.queue_counts = self.host.add(wp.zeros(bounds.max_lights, dtype=int, device=device))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility.packed_states import PackedStates, words_of
 
 
@@ -32,34 +32,34 @@ def pack_states(count: int, words: int, states: wp.array(dtype=wp.uint8), planes
 class StatePlanes:
     """Room for the planes of a frame, on the device and the host."""
 
-    def __init__(self, frame: FrameBuffers) -> None:
-        self._frame = frame
-        room = frame.bounds.max_lights * 2 * words_of(frame.bounds.max_rays)
-        self._planes = frame.host.add(wp.empty(room, dtype=wp.uint32, device=frame.device), whole=False)
+    def __init__(self, samples: SampleSet) -> None:
+        self._samples = samples
+        room = samples.bounds.max_lights * 2 * words_of(samples.bounds.max_rays)
+        self._planes = samples.host.add(wp.empty(room, dtype=wp.uint32, device=samples.device), whole=False)
 
     def pack(self, lights: int) -> None:
         """Make the planes of ``lights`` lights; may be recorded."""
-        frame, words = self._frame, words_of(self._frame.count)
+        samples, words = self._samples, words_of(self._samples.count)
 
         def prepare() -> tuple[int, list[Any]]:
-            return lights * words, [frame.count, words, frame.states, self._planes]
+            return lights * words, [samples.count, words, samples.states, self._planes]
 
-        frame.launch(pack_states, (lights, frame.count), prepare)
+        samples.launch(pack_states, (lights, samples.count), prepare)
 
     def fetch(self, lights: int) -> None:
         """Copy them to the host, and with them all else that it wants to know of the frame; wait for the device."""
-        self._frame.host.fetch(self._planes, self._size(lights))
+        self._samples.host.fetch(self._planes, self._size(lights))
 
     def read(self, lights: int) -> PackedStates:
         """The states that were fetched, in memory of their own."""
-        frame = self._frame
-        words = words_of(frame.count)
-        planes = frame.host.read(self._planes)[: 2 * lights * words].astype(np.uint32, copy=True)
-        return PackedStates(planes.reshape(lights, 2, words), frame.count)
+        samples = self._samples
+        words = words_of(samples.count)
+        planes = samples.host.read(self._planes)[: 2 * lights * words].astype(np.uint32, copy=True)
+        return PackedStates(planes.reshape(lights, 2, words), samples.count)
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         return int(self._planes.capacity)
 
     def _size(self, lights: int) -> int:
-        return max(1, 2 * lights * words_of(self._frame.count))
+        return max(1, 2 * lights * words_of(self._samples.count))

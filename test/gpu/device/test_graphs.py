@@ -91,7 +91,7 @@ def test_the_host_reads_only_what_it_has_fetched(
     """A frame of which everything is new, the way a GPU goes: to read an array of the device is to wait for it."""
     tracer = ShadowTracer(pipeline, device=any_device, bounds=_BOUNDS, graphs=True)
     engine: Any = tracer._engine.inside
-    frame = engine._frame
+    frame = engine._whole
     frame.upload._staged = True
     rng, (vertices, triangles) = np.random.default_rng(3), geometry.icosphere(2, 1.0, (0.0, 0.0, 3.0))
     lights = [PointLight("lamp", (0.0, -2.0, 0.5)), DirectionalLight("sun", (0.1, 0.2, 1.0))]

@@ -19,7 +19,7 @@ from interrupts import Ring
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, SphereLight, render_depth
 from shadow_tracer.gpu.device import graphs
-from shadow_tracer.gpu.engine import frame, share
+from shadow_tracer.gpu.engine import band, frame
 from shadow_tracer.scene.mesh import Scene
 
 _BOUNDS = Bounds(max_triangles=5000, max_rays=5000, max_lights=2, queue_capacity=10_000, grid_entries=100_000)
@@ -56,7 +56,7 @@ def test_a_recording_that_fails_is_replaced_by_launches(
 ) -> None:
     """As on a GPU without memory pools, where a scan allocates: right frames, said once."""
     tracer, failures = _tracer(names, any_device), [0]
-    trace = share.Share.trace
+    trace = band.Band.trace
 
     def fails_while_recorded(this: Any, work: Any) -> None:
         trace(this, work)
@@ -64,7 +64,7 @@ def test_a_recording_that_fails_is_replaced_by_launches(
             failures[0] += 1
             raise RuntimeError("no memory to be had while recording")
 
-    monkeypatch.setattr(share.Share, "trace", fails_while_recorded)
+    monkeypatch.setattr(band.Band, "trace", fails_while_recorded)
     with caplog.at_level(logging.WARNING):
         assert [_frame(tracer, step) for step in range(8)] == _expected(any_device, 8)
     assert failures[0] == 2 and probe.recordings(tracer) == 0, "one attempt for each kind of frame"
@@ -83,14 +83,14 @@ def test_an_exception_while_a_frame_is_recorded(names: str, any_device: str, mon
     tracer = _tracer(names, any_device)
     expected = _expected(any_device, 8)
     assert [_frame(tracer, step) for step in range(2)] == expected[:2]
-    trace = share.Share.trace
+    trace = band.Band.trace
 
     def interrupted(this: Any, work: Any) -> None:
         trace(this, work)
         raise Ring
 
     with monkeypatch.context() as patch:
-        patch.setattr(share.Share, "trace", interrupted)
+        patch.setattr(band.Band, "trace", interrupted)
         patch.setattr(wp.ScopedCapture, "__exit__", lambda *_: None)  # between the end of one step and the next
         with pytest.raises(Ring):
             _frame(tracer, 2)

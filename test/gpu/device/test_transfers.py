@@ -11,7 +11,7 @@ import warp as wp
 
 from shadow_tracer import Bounds
 from shadow_tracer.gpu.device.transfers import HostCopies, Uploads
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility.packed_states import PackedStates, words_of
 from shadow_tracer.gpu.visibility.planes import StatePlanes
 from shadow_tracer.visibility import Frame, State
@@ -80,7 +80,7 @@ def test_the_host_reads_what_was_fetched(any_device: str) -> None:
 def test_packed_states_are_the_states(any_device: str, count: int, lights: int) -> None:
     rng = np.random.default_rng(count)
     bounds = Bounds(max_triangles=1, max_rays=1100, max_lights=3, queue_capacity=1, grid_entries=1)
-    frame = FrameBuffers(bounds, wp.get_device(any_device), mirrored=True)
+    frame = SampleSet(bounds, wp.get_device(any_device), mirrored=True)
     planes = StatePlanes(frame)
     kept = []
     for _ in range(3):  # those of a frame before stay what they were

@@ -178,7 +178,7 @@ def test_bits_do_not_depend_on_the_choice(threads: int) -> None:
             tracer.scene.put("mesh", vertices, triangles)
         engine._chooser.forced = CANDIDATES[rng.integers(3)]
         assert np.array_equal(_states(made, seen), _states(reference, seen)), engine._chooser.chosen
-        assert "/".join(engine._team[0].names) == "/".join(engine._chooser.chosen)
+        assert "/".join(engine._bands[0].names) == "/".join(engine._chooser.chosen)
 
 
 def test_it_is_warmed_up_calibrated_and_says_what_it_does() -> None:

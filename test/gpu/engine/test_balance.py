@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
-from shadow_tracer.gpu.engine.balance import Balance
-from shadow_tracer.gpu.engine.cuts import image_cuts
+from shadow_tracer.gpu.engine.bands import Balance, image_bands
 
 _BOUNDS = Bounds(max_triangles=4000, max_rays=65536, max_lights=1)
 _CAMERA = Camera(256, 256, 200.0, 200.0, 127.5, 127.5)
@@ -26,10 +25,10 @@ def _rows(cuts: list[tuple[int, int]], width: int = 256) -> list[int]:
     return [end // width for _, end in cuts[:-1]]
 
 
-@pytest.mark.parametrize("shares", [2, 3, 8])
-def test_cuts_settle_where_bands_take_equally_long(shares: int) -> None:
+@pytest.mark.parametrize("bands", [2, 3, 8])
+def test_cuts_settle_where_bands_take_equally_long(bands: int) -> None:
     """Work that grows downwards: row r takes r + 20."""
-    balance, depth, work = Balance(shares), _depth(), np.arange(256) + 20.0
+    balance, depth, work = Balance(bands), _depth(), np.arange(256) + 20.0
     spread = []
     for _ in range(60):
         cuts = balance.cut(depth, depth.size)
@@ -38,7 +37,7 @@ def test_cuts_settle_where_bands_take_equally_long(shares: int) -> None:
         times = [work[first // 256 : end // 256].sum() for first, end in cuts]
         spread.append(max(times) / np.mean(times))
         balance.learn(times)
-    assert spread[0] > 1.3 and spread[-1] < 1.04 + 4 * 275.0 / (work.sum() / shares)  # cuts are at every fourth row
+    assert spread[0] > 1.3 and spread[-1] < 1.04 + 4 * 275.0 / (work.sum() / bands)  # cuts are at every fourth row
     assert len(set(spread[-20:])) == 1, "they rest once they are good enough"
 
 
@@ -81,7 +80,7 @@ def test_a_difference_that_is_not_worth_it_moves_nothing() -> None:
 
 
 def test_room_comes_first() -> None:
-    """Where there is room for an even share only, cuts stay, and do not jump when there is room again."""
+    """Where there is room for an even band only, cuts stay, and do not jump when there is room again."""
     balance, depth = Balance(2), _depth()
     for _ in range(12):
         cuts = balance.cut(depth, depth.size // 2)
@@ -95,7 +94,7 @@ def test_where_cuts_are_is_told(at: list[float]) -> None:
     """In parts of the measurements above them, one row of sixty-four or less beside where they were wanted."""
     depth = _depth()
     depth[:100] = 0.0
-    cuts, edges = image_cuts(depth, at, depth.size)
+    cuts, edges = image_bands(depth, at, depth.size)
     assert np.allclose(edges, at, atol=1.5 / 40)
     above = [(depth[:row] > 0).mean(axis=1).sum() + 0.1 * row for row in _rows(cuts)]
     assert np.allclose(edges, np.array(above) / (156 + 25.6), atol=1e-6)
@@ -109,10 +108,10 @@ def test_bands_lie_in_the_image_one_after_the_other() -> None:
         depth = np.zeros((height, width), np.float32)
         first, last = sorted(rng.integers(0, height + 1, 2))
         depth[first:last] = 2.0
-        shares = int(rng.integers(1, 9))
-        room = int(-(-depth.size // shares) * rng.choice([1.0, 1.25, 4.0, 9.0])) + 1
-        cuts, edges = image_cuts(depth, np.sort(rng.choice([0.0, 1.0, rng.random()], shares - 1)), room)
-        assert cuts[0][0] == 0 and cuts[-1][1] == depth.size and len(cuts) == shares == len(edges) + 1
+        bands = int(rng.integers(1, 9))
+        room = int(-(-depth.size // bands) * rng.choice([1.0, 1.25, 4.0, 9.0])) + 1
+        cuts, edges = image_bands(depth, np.sort(rng.choice([0.0, 1.0, rng.random()], bands - 1)), room)
+        assert cuts[0][0] == 0 and cuts[-1][1] == depth.size and len(cuts) == bands == len(edges) + 1
         assert all(one[1] == other[0] for one, other in zip(cuts[:-1], cuts[1:], strict=True))
         assert all(0 <= end - begin <= room for begin, end in cuts)
         assert all(0.0 <= one <= other <= 1.0 for one, other in zip([0.0, *edges], [*edges, 1.0], strict=True))
@@ -165,7 +164,7 @@ def test_moving_cuts_change_no_bit(names: str, monkeypatch: pytest.MonkeyPatch) 
         depth = _depth(step)
         found, expected = (each.trace(depth, _CAMERA, [_LAMP]).state("lamp") for each in (tracer, one))
         assert np.array_equal(found, expected) and {0, 1} <= set(np.unique(found))
-        counts.add(tuple(share.frame.count for share in engine._team))
+        counts.add(tuple(band.samples.count for band in engine._bands))
     assert len(counts) > 5 and max(max(pair) for pair in counts) <= 0.625 * 65536
 
 
@@ -184,7 +183,7 @@ def test_the_same_image_is_cut_as_before() -> None:
     depth = _depth(9)
     for _ in range(3):
         tracer.trace(depth, _CAMERA, [_LAMP])
-        again.append([share._again for share in engine._team])
+        again.append([band._again for band in engine._bands])
         balance._wanted = balance._wanted + 0.02
     assert again == [[False, False], [True, True], [True, True]]
     assert len(learned) == 1 and len(learned[0]) == 2 and all(seconds > 0.0 for seconds in learned[0])
@@ -194,7 +193,7 @@ def test_the_same_image_is_cut_as_before() -> None:
 def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
     tracer = ShadowTracer("auto", device="cpu", bounds=_BOUNDS, threads=2)
     engine: Any = tracer._engine.inside
-    assert set(engine._balances) == {names for names, team in engine._teams.items() if len(team) == 2}
+    assert set(engine._balances) == {names for names, bands in engine._bands_of.items() if len(bands) == 2}
     assert len({id(balance) for balance in engine._balances.values()}) == len(engine._balances) >= 2
     single = ShadowTracer("mesh_bvh", device="cpu", bounds=_BOUNDS, threads=2)
     assert single._engine.inside._balances == {}

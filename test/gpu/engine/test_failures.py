@@ -15,7 +15,7 @@ from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, State
 from shadow_tracer.gpu.accelerators.bvh import mesh_bvh
 from shadow_tracer.gpu.engine import frame as frame_tracer
 from shadow_tracer.gpu.engine.automatic import CANDIDATES
-from shadow_tracer.gpu.engine.share import Share
+from shadow_tracer.gpu.engine.band import Band
 from shadow_tracer.gpu.occluders import world
 from shadow_tracer.gpu.occluders.corners import Corners
 from shadow_tracer.gpu.samples import sample_set
@@ -64,7 +64,7 @@ def test_a_frame_after_one_that_failed_is_right(names: str, where: str, monkeypa
     tracer, other = _tracer(names), _tracer(names)
     _states(tracer)
     with monkeypatch.context() as patch:
-        _fail_once(patch, Share, where)
+        _fail_once(patch, Band, where)
         with pytest.raises(_Out):
             _states(tracer, _MOVED)
     expected = _states(other, _MOVED)
@@ -112,7 +112,7 @@ def test_a_selection_that_fails_changes_nothing(names: str, wanted: str, monkeyp
     before = tracer.device_bytes
     chooser = tracer._engine.chooser
     with monkeypatch.context() as patch:
-        _fail_once(patch, frame_tracer, "Share", 2 if wanted == "auto" else 0)  # in the middle of the candidates
+        _fail_once(patch, frame_tracer, "Band", 2 if wanted == "auto" else 0)  # in the middle of the candidates
         with pytest.raises(_Out):
             tracer.select(wanted)
     assert tracer.pipeline == names and tracer._engine.chooser is chooser and tracer.device_bytes == before
@@ -125,7 +125,7 @@ def test_a_selection_that_fails_keeps_the_second_pipeline(monkeypatch: pytest.Mo
     tracer = _tracer("light_grid")
     tracer.prepare_verify("mesh_bvh")
     with monkeypatch.context() as patch:
-        _fail_once(patch, frame_tracer, "Share")
+        _fail_once(patch, frame_tracer, "Band")
         with pytest.raises(_Out):
             tracer.select("mesh_bvh")
     assert tracer._engine.verifier == "mesh_bvh" and tracer.verify(_DEPTH, _CAMERA, _LIGHTS) == 0
@@ -146,7 +146,7 @@ def test_a_warm_up_that_fails_forces_no_choice(candidate: int, monkeypatch: pyte
 
 @probe.in_cuda_form  # in the other the first pipeline has something else instead
 def test_what_a_pipeline_shares_is_freed_with_its_last_user() -> None:
-    """Vertices seen from a light belong to all shares that need them; whoever verifies has separate ones."""
+    """Vertices seen from a light belong to all bands that need them; whoever verifies has separate ones."""
     tracer = _tracer("mesh_bvh")
     shared = tracer._engine.inside._context.shared
     plain = tracer.device_bytes

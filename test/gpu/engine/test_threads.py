@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shares of the rays, worked on side by side: the same bits as one thread, whatever is cut where; and the threads
+"""Bands of the rays, worked on side by side: the same bits as one thread, whatever is cut where; and the threads
 themselves."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import views
 
 from shadow_tracer import Bias, Bounds, PointLight, ShadowTracer, SphereLight, SpotLight
 from shadow_tracer.gpu.device.workers import MOST, Workers, available_cores
-from shadow_tracer.gpu.engine import share
+from shadow_tracer.gpu.engine import band
 from shadow_tracer.gpu.occluders import seen as seen_triangles
 
 _SIZE = 256
@@ -42,10 +42,10 @@ def states(made: ShadowTracer, seen: views.View, depth: np.ndarray | None = None
     return second
 
 
-def shares(made: ShadowTracer) -> list[share.Share]:
+def bands(made: ShadowTracer) -> list[band.Band]:
     engine: Any = made._engine.inside
-    team: list[share.Share] = engine._team
-    return team
+    bands: list[band.Band] = engine._bands
+    return bands
 
 
 @pytest.mark.wide
@@ -56,23 +56,23 @@ def test_every_number_of_threads_gives_the_same_bits(names: tuple[str, str], thr
     if names[0] == "brute_force":
         seen = replace(seen, triangles=seen.triangles[::10])
     made = tracer(names, threads)
-    assert made.threads == len(shares(made)) == threads and len(shares(tracer(names, 1))) == 1
+    assert made.threads == len(bands(made)) == threads and len(bands(tracer(names, 1))) == 1
     found = states(made, seen)
     assert np.array_equal(found, states(tracer(names, 1), seen))
-    assert all(part.frame.count > 0 for part in shares(made))
-    assert sum(part.frame.count for part in shares(made)) == _COUNT
+    assert all(part.samples.count > 0 for part in bands(made))
+    assert sum(part.samples.count for part in bands(made)) == _COUNT
 
 
 @pytest.mark.wide
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_shares_divide_what_is_made_on_demand(threads: int) -> None:
-    """Whoever makes it, it is the same; and everything that any share asked for is there."""
+    """Whoever makes it, it is the same; and everything that any band asked for is there."""
     seen = view()
     made, one = tracer(("light_grid", "packed"), threads), tracer(("light_grid", "packed"), 1)
     for step in range(3):
         moved = replace(seen, vertices=seen.vertices + 0.01 * step)
         assert np.array_equal(states(made, moved), states(one, moved))
-    for part in shares(made):
+    for part in bands(made):
         way: Any = part.pipeline._way  # type: ignore[attr-defined]
         asked = way._clusters.numpy()[: way._ends.numpy()[0]]
         assert len(asked) and (np.diff(asked) > 0).all()
@@ -92,13 +92,13 @@ def test_measurements_in_one_place(kept: str) -> None:
         depth[rows[kept]] = seen.depth[rows[kept]]
     made = tracer(("light_grid", "packed"), 2)
     assert np.array_equal(states(made, seen, depth), states(tracer(("light_grid", "packed"), 1), seen, depth))
-    assert max(part.frame.count for part in shares(made)) <= math.ceil(0.625 * _COUNT)
+    assert max(part.samples.count for part in bands(made)) <= math.ceil(0.625 * _COUNT)
 
 
 @pytest.mark.wide
 @pytest.mark.parametrize(("count", "used"), [(51200, 1), (40960, 1), (40958, 2), (32768, 2)])
 def test_samples_that_one_share_would_be_enough_for_if_it_had_room(count: int, used: int) -> None:
-    """25,600 are too few for two threads; a share has room for five eighths of ``max_rays``."""
+    """25,600 are too few for two threads; a band has room for five eighths of ``max_rays``."""
     seen = view()
     made, one = (tracer(("light_grid", "packed"), n, replace(_BOUNDS, max_rays=count)) for n in (2, 1))
     depth, camera = seen.depth[:160, :160], replace(seen.camera, width=160, height=160)
@@ -112,7 +112,7 @@ def test_samples_that_one_share_would_be_enough_for_if_it_had_room(count: int, u
         assert np.array_equal(frames[0].state(name), frames[1].state(name))
         light = next(light for light in seen.lights if light.name == name)
         assert np.array_equal(made.occluded(points, light), one.occluded(points, light))
-    assert sum(part.frame.count > 0 for part in shares(made)) == used
+    assert sum(part.samples.count > 0 for part in bands(made)) == used
 
 
 @pytest.mark.parametrize("shape", [(251, 257), (64, 1021), (1021, 64), (1, 65536), (65535, 1)])
@@ -134,7 +134,7 @@ def test_images_that_do_not_divide(shape: tuple[int, int]) -> None:
 def test_small_lists_of_every_share(names: tuple[str, str]) -> None:
     seen = view()
     made = tracer(names, 2, replace(_BOUNDS, queue_capacity=1, grid_entries=77))
-    assert [part.frame.bounds.grid_entries for part in shares(made)] == [38, 38]
+    assert [part.samples.bounds.grid_entries for part in bands(made)] == [38, 38]
     assert np.array_equal(states(made, seen), states(tracer(names, 1), seen))
 
 
@@ -170,13 +170,13 @@ def test_a_static_light_sets_nothing_up_again(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.wide
-def test_pipelines_change_and_verify_works_beside_shares() -> None:
+def test_pipelines_change_and_verify_works_beside_bands() -> None:
     seen, made = view(), tracer(("light_grid", "packed"), 2)
     expected = states(made, seen)
     assert made.verify(seen.depth, seen.camera, list(seen.lights), bias=seen.bias) == 0
     for names, count in ((("mesh_bvh", "refit"), 1), (("cone_hierarchy", "linear"), 2), (("light_grid", "packed"), 2)):
         made.select(*names)
-        assert len(shares(made)) == count
+        assert len(bands(made)) == count
         assert np.array_equal(states(made, seen), expected)
     assert made.verify(seen.depth, seen.camera, list(seen.lights), bias=seen.bias) == 0
 
@@ -195,13 +195,13 @@ def test_both_shares_really_run_at_once(monkeypatch: pytest.MonkeyPatch) -> None
     seen, made = view(), tracer(("light_grid", "packed"), 2)
     expected = states(made, seen)
     meeting = threading.Barrier(2, timeout=20.0)
-    project = share.Share.project
+    project = band.Band.project
 
-    def met(self: share.Share, *arguments: Any) -> None:
+    def met(self: band.Band, *arguments: Any) -> None:
         project(self, *arguments)
         meeting.wait()
 
-    monkeypatch.setattr(share.Share, "project", met)
+    monkeypatch.setattr(band.Band, "project", met)
     frame = made.trace(seen.depth, seen.camera, list(seen.lights), bias=seen.bias)
     assert np.array_equal(np.stack([frame.state(name) for name in frame.names]), expected)
 

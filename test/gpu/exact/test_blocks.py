@@ -21,7 +21,7 @@ from shadow_tracer.gpu.occluders.world import SceneBuffers  # noqa: E402
 from shadow_tracer.gpu.samples import pixels  # noqa: E402
 from shadow_tracer.gpu.samples import rays as projection  # noqa: E402
 from shadow_tracer.gpu.samples.pinhole import Pinhole  # noqa: E402
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers  # noqa: E402
+from shadow_tracer.gpu.samples.sample_set import SampleSet  # noqa: E402
 from shadow_tracer.scene.checks import LARGEST  # noqa: E402
 from shadow_tracer.scene.mesh import Scene  # noqa: E402
 
@@ -33,8 +33,8 @@ _GARBAGE = 77.0
 
 
 @pytest.fixture(scope="module")
-def frame() -> FrameBuffers:
-    return FrameBuffers(
+def frame() -> SampleSet:
+    return SampleSet(
         Bounds(max_triangles=_TRIANGLES, max_rays=_RAYS, max_lights=1, queue_capacity=1), pick_device("cpu")
     )
 
@@ -80,7 +80,7 @@ def _pinhole(rng: np.random.Generator, width: int, focal: float, bias: tuple[flo
     ("focal", "bias"), [(500.0, (0.01, 0.002)), (0.3, (0.0, 0.0)), (1e-13, (1.0, 1e50)), (1e-280, (0.0, 1.0))]
 )
 def test_samples(
-    frame: FrameBuffers, make: Any, width: int, count: int, focal: float, bias: tuple[float, float], tabled: bool
+    frame: SampleSet, make: Any, width: int, count: int, focal: float, bias: tuple[float, float], tabled: bool
 ) -> None:
     rng = np.random.default_rng(width + count)
     depth = make(rng, count)
@@ -91,14 +91,14 @@ def test_samples(
     metres = depth.dtype == np.float32
     array = frame.depth_metres if metres else frame.depth_millimetres
     array.numpy()[:count] = depth
-    frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
+    frame.positions.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
     frame.valid.fill_(9)
     frame.set_camera(pinhole)
     units = wp.float64(1.0 if metres else 1000.0)
-    inputs = [frame.pinhole, frame.ray_table, units, array, frame.samples, frame.valid]
+    inputs = [frame.pinhole, frame.ray_table, units, array, frame.positions, frame.valid]
     wp.launch(pixels.unproject, dim=count, inputs=inputs, device="cpu")
-    samples, valid = frame.samples.numpy().copy(), frame.valid.numpy().copy()
-    frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
+    samples, valid = frame.positions.numpy().copy(), frame.valid.numpy().copy()
+    frame.positions.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
     frame.valid.fill_(9)
     frame.set_samples(count, 0)
     pixels.unproject_image(array, frame)
@@ -106,8 +106,8 @@ def test_samples(
     seen = valid == 1
     assert not seen[:count].all() or count < 100
     assert (np.abs(samples[seen][:, :3]) <= LARGEST).all()
-    np.testing.assert_array_equal(_bits(frame.samples.numpy())[seen], _bits(samples)[seen])
-    assert (frame.samples.numpy()[count:] == _GARBAGE).all(), "written beyond the image"
+    np.testing.assert_array_equal(_bits(frame.positions.numpy())[seen], _bits(samples)[seen])
+    assert (frame.positions.numpy()[count:] == _GARBAGE).all(), "written beyond the image"
 
 
 # Samples to rays
@@ -138,9 +138,9 @@ def _samples(rng: np.random.Generator, count: int) -> np.ndarray:
 @pytest.mark.parametrize("light", _LIGHTS)
 @pytest.mark.parametrize("count", [1, 255, 256, 257, 5000])
 @pytest.mark.parametrize("counted", [False, True])
-def test_rays_and_states(frame: FrameBuffers, light: str, count: int, counted: bool) -> None:
+def test_rays_and_states(frame: SampleSet, light: str, count: int, counted: bool) -> None:
     rng = np.random.default_rng(count)
-    samples, valid = frame.samples.numpy(), frame.valid.numpy()
+    samples, valid = frame.positions.numpy(), frame.valid.numpy()
     samples[:count], valid[:count] = _samples(rng, count), rng.random(count) < 0.8
     samples[:count][valid[:count] == 0] = np.nan
     frame.set_samples(count, 0)
@@ -149,7 +149,7 @@ def test_rays_and_states(frame: FrameBuffers, light: str, count: int, counted: b
     inputs = [
         frame.light_frame_of[0],
         int(counted),
-        frame.samples,
+        frame.positions,
         frame.valid,
         frame.rays,
         frame.states,
@@ -225,7 +225,7 @@ def _not_finite(rng: np.random.Generator) -> geometry.Geometry:
 _MESHES = (_random, _tiny, _slivers, _exact_ties, _nearly_flat, _spread, _not_finite)
 
 
-def _prepared(frame: FrameBuffers, scene: SceneBuffers, light: Any, cull: int, blocks: bool) -> tuple[Any, int, int]:
+def _prepared(frame: SampleSet, scene: SceneBuffers, light: Any, cull: int, blocks: bool) -> tuple[Any, int, int]:
     frame.set_lights([make_light_frame(light, Anchor((0.1, 0.0, -0.1), 2.5))])
     made = wp.empty((_TRIANGLES, 4), dtype=wp.vec4, device="cpu")
     made.fill_(wp.vec4(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
@@ -251,7 +251,7 @@ def _prepared(frame: FrameBuffers, scene: SceneBuffers, light: Any, cull: int, b
 @pytest.mark.parametrize("make", _MESHES, ids=lambda make: make.__name__.strip("_"))
 @pytest.mark.parametrize("light", ["point", "on_the_grid", "far", "huge", "directional"])
 @pytest.mark.parametrize("cull", [0, 1])
-def test_records(frame: FrameBuffers, make: Any, light: str, cull: int) -> None:
+def test_records(frame: SampleSet, make: Any, light: str, cull: int) -> None:
     vertices, triangles = make(np.random.default_rng(7))
     scene = Scene(frame.bounds)
     scene.put("mesh", vertices, triangles, nonfinite="skip")
@@ -271,7 +271,7 @@ def test_records(frame: FrameBuffers, make: Any, light: str, cull: int) -> None:
     np.testing.assert_array_equal(_bits(other), _bits(one))
 
 
-def test_the_meshes_above_have_what_they_are_for(frame: FrameBuffers) -> None:
+def test_the_meshes_above_have_what_they_are_for(frame: SampleSet) -> None:
     """Triangles that only the exact sign can judge, of both kinds, and corners that are not finite."""
     counts = {}
     for make in _MESHES:

@@ -22,7 +22,7 @@ from shadow_tracer.gpu.exact import records as setup  # noqa: E402
 from shadow_tracer.gpu.exact.decision import decide, filter_pair, ray_magnitude  # noqa: E402
 from shadow_tracer.gpu.exact.light_frame import LightFrame, make_light_frame  # noqa: E402
 from shadow_tracer.gpu.samples import rays  # noqa: E402
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers  # noqa: E402
+from shadow_tracer.gpu.samples.sample_set import SampleSet  # noqa: E402
 
 _TRIANGLES = 3000
 _EACH = near_planes.EACH
@@ -139,9 +139,9 @@ def _answers(rays: Any, records: Any, spelling: str, count: int, share: float = 
 
 
 @pytest.fixture(scope="module")
-def frame() -> FrameBuffers:
+def frame() -> SampleSet:
     bounds = Bounds(max_triangles=_TRIANGLES, max_rays=_RAYS, max_lights=1, queue_capacity=1)
-    return FrameBuffers(bounds, pick_device("cpu"))
+    return SampleSet(bounds, pick_device("cpu"))
 
 
 def _counts() -> Any:
@@ -152,9 +152,9 @@ def _counts() -> Any:
 class _Judged:
     """Pairs of a family: ``hidden`` (T, 16) exactly; answers of the filter on demand."""
 
-    def __init__(self, frame: FrameBuffers, pairs: near_planes.Pairs) -> None:
+    def __init__(self, frame: SampleSet, pairs: near_planes.Pairs) -> None:
         self._frame, self.pairs = frame, pairs
-        frame.samples.numpy()[:_RAYS] = pairs.samples.reshape(-1, 4)
+        frame.positions.numpy()[:_RAYS] = pairs.samples.reshape(-1, 4)
         frame.valid.fill_(1)
         frame.set_samples(_RAYS, 0)
         frame.set_lights([make_light_frame(pairs.light, pairs.anchor)])
@@ -163,7 +163,7 @@ class _Judged:
         self._triangles = wp.array(np.arange(3 * _TRIANGLES).reshape(-1, 3), dtype=wp.vec3i, device="cpu")
         out = wp.zeros(_RAYS, dtype=int, device="cpu")
         wp.launch(
-            _decide, dim=_RAYS, inputs=[frame.light_frame_of[0], frame.samples, self._vertices, out], device="cpu"
+            _decide, dim=_RAYS, inputs=[frame.light_frame_of[0], frame.positions, self._vertices, out], device="cpu"
         )
         self.hidden = out.numpy().reshape(-1, _EACH).astype(bool)
         assert np.isfinite(frame.rays.numpy()[:_RAYS]).all()
@@ -197,14 +197,14 @@ class _Judged:
         return ((answers == _YES) & ~self.hidden) | ((answers == _NO) & self.hidden)
 
 
-def _judged(frame: FrameBuffers, family: str, seed: int) -> _Judged:
+def _judged(frame: SampleSet, family: str, seed: int) -> _Judged:
     rng = np.random.default_rng([zlib.crc32(family.encode()), seed])
     return _Judged(frame, near_planes.FAMILIES[family](rng, _TRIANGLES))
 
 
 @pytest.mark.parametrize("family", near_planes.FAMILIES)
 @pytest.mark.slow
-def test_what_the_filter_is_sure_of_is_so(frame: FrameBuffers, family: str) -> None:
+def test_what_the_filter_is_sure_of_is_so(frame: SampleSet, family: str) -> None:
     """A million pairs of each family at one lane and at sixteen, with the records of both set-ups."""
     sure, seeds = 0, 24
     for seed in range(seeds):
@@ -220,7 +220,7 @@ def test_what_the_filter_is_sure_of_is_so(frame: FrameBuffers, family: str) -> N
 
 
 @pytest.mark.parametrize("family", near_planes.FAMILIES)
-def test_fractions_say_the_same(frame: FrameBuffers, family: str) -> None:
+def test_fractions_say_the_same(frame: SampleSet, family: str) -> None:
     """The sure pairs nearest to the plane, of those with each answer, against the oracle."""
     judged = _judged(frame, family, 0)
     pairs, records = judged.pairs, judged.records()
@@ -239,7 +239,7 @@ def test_fractions_say_the_same(frame: FrameBuffers, family: str) -> None:
             assert tie or hidden == (answer == _YES), (t, k)
 
 
-def test_w_is_no_part_of_the_bound(frame: FrameBuffers) -> None:
+def test_w_is_no_part_of_the_bound(frame: SampleSet) -> None:
     """Next to the anchor W is about 1 and U, V and Z are nothing: planes are known as well as those are."""
     answers = np.stack([(j := _judged(frame, "at_the_anchor", seed)).answers(j.records()) for seed in range(3)])
     assert (answers != _MAYBE).mean() > 0.2
@@ -288,7 +288,7 @@ _QUARTER = (0.25 * _TRUE[0], 0.25 * _TRUE[1], _TRUE[2])
     ids=["a quarter of the bound", "the same, no offset", "a quarter of the magnitude", "float64 taken as exact"],
 )
 def test_bounds_that_are_too_small_are_found_out(
-    frame: FrameBuffers, family: str, factors: tuple[float, float, float], share: float
+    frame: SampleSet, family: str, factors: tuple[float, float, float], share: float
 ) -> None:
     """Half of the bound is still right: float32's errors hardly ever all point one way, nor is each as large as can be
     where the others are."""

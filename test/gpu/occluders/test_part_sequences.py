@@ -15,7 +15,7 @@ import probe
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, Scene, ShadowTracer, available_pipelines
-from shadow_tracer.gpu.engine import cuts
+from shadow_tracer.gpu.engine import bands
 from shadow_tracer.gpu.engine import frame as frame_tracer
 
 _MOST = 1400
@@ -40,8 +40,8 @@ Rng = np.random.Generator
 
 
 @pytest.fixture(autouse=True)
-def _small_shares(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (cuts, frame_tracer):
+def _small_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (bands, frame_tracer):
         monkeypatch.setattr(module, "LEAST", 64)
 
 

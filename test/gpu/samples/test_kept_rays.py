@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
-from shadow_tracer.gpu.engine import cuts, share
+from shadow_tracer.gpu.engine import band, bands
 from shadow_tracer.gpu.engine import frame as frame_tracer
-from shadow_tracer.gpu.samples import rays
-from shadow_tracer.gpu.samples import rays as projection
 
 _WIDTH, _HEIGHT = 48, 36
 _COUNT = _WIDTH * _HEIGHT
@@ -46,15 +44,15 @@ def _bounds(**more: Any) -> Bounds:
 
 @pytest.fixture
 def projected(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Grows by a light's number for each light and share that is projected."""
+    """Grows by a light's number for each light and band that is projected."""
     calls: list[int] = []
-    project = rays.project
+    project = band.project
 
     def counted(buffers: Any, light: int, place: int, again: int) -> None:
         calls.append(light)
         project(buffers, light, place, again)
 
-    monkeypatch.setattr(projection, "project", counted)
+    monkeypatch.setattr(band, "project", counted)
     return calls
 
 
@@ -121,8 +119,8 @@ def test_points_are_asked_about_again(projected: list[int]) -> None:
 def test_a_second_opinion_makes_its_own_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(494)
     pair, depth, calls = _Pair("light_grid", _bounds(), 1), _depth(rng), []
-    unproject = share.pixels.unproject_image
-    monkeypatch.setattr(share.pixels, "unproject_image", lambda *inputs: (calls.append(1), unproject(*inputs)))
+    unproject = band.pixels.unproject_image
+    monkeypatch.setattr(band.pixels, "unproject_image", lambda *inputs: (calls.append(1), unproject(*inputs)))
     pair.put(*_mesh(rng))
     for _ in range(2):
         pair.tracer.trace(depth, _CAMERA, _LIGHTS, bias=0.01)
@@ -185,7 +183,7 @@ def test_whatever_changes_between_frames(
     pipeline: str, more: dict[str, int], threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A long random walk: what is kept never answers for something else."""
-    monkeypatch.setattr(cuts, "LEAST", 64)
+    monkeypatch.setattr(bands, "LEAST", 64)
     monkeypatch.setattr(frame_tracer, "LEAST", 64)
     rng = np.random.default_rng([493, threads, len(more)])
     pair = _Pair(pipeline, _bounds(**more), threads)

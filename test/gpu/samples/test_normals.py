@@ -16,7 +16,7 @@ from shadow_tracer import Bias, Bounds, Camera  # noqa: E402
 from shadow_tracer.gpu.device.devices import pick_device  # noqa: E402
 from shadow_tracer.gpu.samples import normals, pixels  # noqa: E402
 from shadow_tracer.gpu.samples.pinhole import make_pinhole  # noqa: E402
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers  # noqa: E402
+from shadow_tracer.gpu.samples.sample_set import SampleSet  # noqa: E402
 from shadow_tracer.scene.normals import depth_normals, displaced_samples  # noqa: E402
 
 _PIXELS = 8000
@@ -24,8 +24,8 @@ _GARBAGE = 77.0
 
 
 @pytest.fixture(scope="module")
-def frame(any_device: str) -> FrameBuffers:
-    return FrameBuffers(Bounds(10, _PIXELS, 1, queue_capacity=1), pick_device(any_device))
+def frame(any_device: str) -> SampleSet:
+    return SampleSet(Bounds(10, _PIXELS, 1, queue_capacity=1), pick_device(any_device))
 
 
 def _metres(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
@@ -55,7 +55,7 @@ def _table(rng: np.random.Generator, camera: Camera, wild: bool) -> np.ndarray:
 
 
 def _samples(
-    frame: FrameBuffers, depth: np.ndarray, camera: Camera, bias: Bias, parts: list[int], scalar: bool
+    frame: SampleSet, depth: np.ndarray, camera: Camera, bias: Bias, parts: list[int], scalar: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Samples and validity of an image that is cut at ``parts``, by the kernel of this form or the one of CUDA."""
     array = frame.depth_metres if depth.dtype == np.float32 else frame.depth_millimetres
@@ -68,14 +68,14 @@ def _samples(
     for first, end in zip([0, *parts], [*parts, depth.size], strict=True):
         frame.set_samples(end - first, camera.width, first)
         frame.set_camera(make_pinhole(camera, bias, first))
-        frame.samples.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
+        frame.positions.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
         pixels.unproject_image(frame.mine(array), frame)
         if scalar:
-            inputs = [frame.pinhole, frame.ray_table, array, frame.samples]
+            inputs = [frame.pinhole, frame.ray_table, array, frame.positions]
             wp.launch(normals.displace_samples, dim=end - first, inputs=inputs, device=frame.device)
         else:
             normals.displace(array, frame)
-        samples, valid = frame.samples.numpy(), frame.valid.numpy()
+        samples, valid = frame.positions.numpy(), frame.valid.numpy()
         assert (samples[end - first :] == _GARBAGE).all(), "written beyond the samples"
         found.append((samples[: end - first].copy(), valid[: end - first].copy()))
     return np.concatenate([one for one, _ in found]), np.concatenate([one for _, one in found])
@@ -85,9 +85,7 @@ def _samples(
 @pytest.mark.parametrize("make", [_metres, _millimetres])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 1500), (1500, 1), (3, 7), (48, 64), (25, 257), (5, 1500)])
 @pytest.mark.parametrize("focal", [525.0, 250.0, 60.0, 1e-13, 1e-280, 1e12, 1e300, "table", "wild table"])
-def test_bits_of_numpy(
-    frame: FrameBuffers, shape: tuple[int, int], focal: float | str, make: Any, scalar: bool
-) -> None:
+def test_bits_of_numpy(frame: SampleSet, shape: tuple[int, int], focal: float | str, make: Any, scalar: bool) -> None:
     rays, focal = (focal, 250.0) if isinstance(focal, str) else ("", focal)
     rng = np.random.default_rng(shape[0] + int(min(focal, 1e6)))
     place = rng.uniform(-9, 9, 3) * rng.choice([1.0, 1e49])  # in a corner of all coordinates

@@ -50,7 +50,7 @@ def test_a_selection_that_fails_leaves_what_was_there(monkeypatch: pytest.Monkey
         raise MemoryError("no room for a second pipeline")
 
     with monkeypatch.context() as patch:
-        patch.setattr(frame_tracer, "Share", full)
+        patch.setattr(frame_tracer, "Band", full)
         outcome = here.do(here.host.select, _settings("brute_force"))
     assert outcome.error == "no room for a second pipeline"
     assert here.host.tracer is tracer and tracer.pipeline == "light_grid"

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.gpu.device.counters import EXACT, RETESTED
 from shadow_tracer.gpu.exact.decision import decide, is_ray
 from shadow_tracer.gpu.exact.determinant import determinant_sign
 from shadow_tracer.gpu.exact.light_frame import SHADOWED
-from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST, Query
 
 
 @wp.struct
@@ -78,13 +77,13 @@ class BruteForce(Walker):
     def follow(self) -> None:
         """Nothing is made of the scene."""
 
-    def show(self, work: Pass) -> None:
+    def show(self, rays: Rays, query: Query) -> None:
         """Show every ray of the light every triangle."""
         if not self._exact:
-            super().show(work)
+            super().show(rays, query)
             return
-        buffers, scene, records = self._context.frame, self._context.scene, self._context.records
-        inputs = [work.light.light, int(records.front_face_culling), scene.triangle_count, buffers.samples]
-        inputs += [scene.vertices, scene.triangles, buffers.rays, buffers.states_of(work.first), buffers.counters]
+        buffers, scene, records = self._context.samples, self._context.scene, self._context.records
+        inputs = [rays.light.light, int(records.front_face_culling), scene.triangle_count, buffers.positions]
+        inputs += [scene.vertices, scene.triangles, buffers.rays, buffers.states_of(rays.first), buffers.counters]
         with self._context.stages.stage("trace"):
             wp.launch(test_all_float64, dim=buffers.count, inputs=inputs, device=buffers.device)

@@ -55,12 +55,12 @@ _BINARY = Walk("accelerators/bvh/binary_tree.h", Structure, queries=(ANY_HIT, MA
 class MeshBvh(Walker):
     """The ``mesh_bvh`` pipeline."""
 
-    traits = Traits(masks=True)
+    traits = Traits(queries=(ANY_HIT, MASK))
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
         self._variant = variant
-        bounds, device = context.frame.bounds, context.frame.device
+        bounds, device = context.samples.bounds, context.samples.device
         self._lowers = wp.empty(bounds.max_triangles, dtype=wp.vec3, device=device)
         self._uppers = wp.empty(bounds.max_triangles, dtype=wp.vec3, device=device)
         # Of the builders Warp offers on the CPU, cuBQL's is the fastest and its trees are as good as SAH's; on CUDA
@@ -136,7 +136,7 @@ class MeshBvh(Walker):
         self.walk = _BINARY
         if self._widens:
             inputs = [self._bvh.id, self._tree.bounds, self._tree.links, self._wide_nodes]
-            wp.launch(collapse, dim=1, inputs=inputs, device=self._context.frame.device)
+            wp.launch(collapse, dim=1, inputs=inputs, device=self._context.samples.device)
             self.walk = _WIDE if self._wide_nodes.numpy()[0] > 0 else _BINARY
 
     def learn(self, counters: dict[str, int]) -> None:

@@ -153,7 +153,7 @@ class RayTreeBuffers:
         self._context = context
         self._order = order
         self.wide = wide
-        device, rays = context.frame.device, context.frame.bounds.max_rays
+        device, rays = context.samples.device, context.samples.bounds.max_rays
         log_leaf, log_branch = (4, 4) if wide else (5, 2)
         branch = 1 << log_branch
         # Whole groups at every level; the last level is a single group.
@@ -183,13 +183,13 @@ class RayTreeBuffers:
     def count_visits(self) -> wp.array:
         """From now on count how often each node is looked at (not in the wide form of the descent): for pictures.
         Returns the counts, which the caller clears."""
-        self.tree.visits = wp.zeros(self._offsets[-1], dtype=int, device=self._context.frame.device)
+        self.tree.visits = wp.zeros(self._offsets[-1], dtype=int, device=self._context.samples.device)
         return self.tree.visits
 
     def build(self, light: int) -> None:
         """Leaves, boxes and lookup table over the rays in ``order``; the launches depend on the number of samples
         alone."""
-        buffers, tree = self._context.frame, self.tree
+        buffers, tree = self._context.samples, self.tree
         device, branch = buffers.device, 1 << tree.log_branch
         # The largest power of four with at least 8 rays per cell of one face.
         tree.table_bits = min(max(((buffers.count >> 3).bit_length() - 1) // 2, 1), _MOST_TABLE_BITS)

@@ -72,7 +72,7 @@ class HierarchicalGrid(Walker):
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
-        bounds, device = context.frame.bounds, context.frame.device
+        bounds, device = context.samples.bounds, context.samples.device
         triangles = bounds.max_triangles
         self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
         self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
@@ -100,7 +100,7 @@ class HierarchicalGrid(Walker):
 
     def build(self) -> Structure:
         """Make the grids, and sort the triangles into their cells."""
-        scene, device, tree = self._context.scene, self._context.frame.device, self._tree
+        scene, device, tree = self._context.scene, self._context.samples.device, self._tree
         count = scene.triangle_count
         tree.box = scene_box(*scene.box())
         room, boxes = self._cells_for(count), [self._lowers, self._uppers]
@@ -125,7 +125,7 @@ class HierarchicalGrid(Walker):
 
     def _nest(self, depth: int, count: int, room: int) -> None:
         """Make the grids at a depth, in cells of those above it."""
-        device, plan, tree = self._context.frame.device, self._plan, self._tree
+        device, plan, tree = self._context.samples.device, self._plan, self._tree
         for sums in (plan.needed, plan.cells, plan.grids, plan.dense):
             sums.zero_()
         wp.launch(nesting.find_dense, dim=room, inputs=[depth, self._begins, plan, tree], device=device)

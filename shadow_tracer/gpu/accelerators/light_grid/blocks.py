@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.admission import Admission
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.light_grid import binning, candidates
 from shadow_tracer.gpu.accelerators.light_grid.candidates import CandidateRecords
 from shadow_tracer.gpu.accelerators.light_grid.tiles import (
@@ -36,7 +36,6 @@ from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES, space_of
 from shadow_tracer.gpu.exact.records import BLOCK
 from shadow_tracer.gpu.occluders.clusters import CLUSTER
-from shadow_tracer.gpu.samples.passes import Pass
 
 # Entries that are gathered on the CPU before they are traced, per place for a tile.
 _ENTRIES_PER_TILE = 2
@@ -151,8 +150,8 @@ class BlockGrid:
 
     def __init__(self, context: Context, buffers: TileBuffers, admission: Admission) -> None:
         self._context, self._buffers, self._admission = context, buffers, admission
-        self._launch = Launches(context.frame.device)
-        device, bound = context.frame.device, context.frame.bounds.grid_entries
+        self._launch = Launches(context.samples.device)
+        device, bound = context.samples.device, context.samples.bounds.grid_entries
         places = 16 * buffers.most_blocks
         natural = max(4096, _ENTRIES_PER_TILE * places)
         entries = binning.EntryList()
@@ -165,7 +164,7 @@ class BlockGrid:
         entries.total = wp.empty(places, dtype=int, device=device)
         entries.count = wp.zeros(2, dtype=int, device=device)
         self._entries = entries
-        bounds = context.frame.bounds
+        bounds = context.samples.bounds
         self._candidates = context.shared.take(CandidateRecords, lambda: CandidateRecords(context))
         self._clusters = wp.empty(bounds.max_triangles // CLUSTER + bounds.max_lights, dtype=int, device=device)
         self._ends = wp.zeros(bounds.max_lights, dtype=int, device=device)
@@ -179,16 +178,16 @@ class BlockGrid:
     def prepare(self, light: LightFrame) -> None:
         self._candidates.open(light)
 
-    def pack(self, work: Pass) -> None:
-        frame, buffers, group = self._context.frame, self._buffers, self._admission.groups
+    def pack(self, rays: Rays) -> None:
+        samples, buffers, group = self._context.samples, self._buffers, self._admission.groups
 
         def prepare() -> tuple[int, list[Any]]:
-            states = frame.states_of(work.first, len(work.lights))
-            inputs = [frame.lights_from(work.first), frame.rays, states, group, buffers.tiles, buffers.cells]
+            states = samples.states_of(rays.first, len(rays.lights))
+            inputs = [samples.lights_from(rays.first), samples.rays, states, group, buffers.tiles, buffers.cells]
             return 1, [*inputs, buffers.sort.keys, buffers.sort.values]
 
-        self._launch(pack_wide, (work.first, len(work.lights), frame.count), prepare)
-        if work.keep:
+        self._launch(pack_wide, (rays.first, len(rays.lights), samples.count), prepare)
+        if rays.keep:
             self._copy(self._kept, self._changing)
 
     def unpack(self) -> None:
@@ -200,27 +199,33 @@ class BlockGrid:
         for one, other, size in zip(to, of, (16, 16 * QUANTITIES), strict=True):
             one.numpy()[: size * blocks] = other.numpy()[: size * blocks]
 
-    def choose(self, work: Pass) -> None:
-        frame, scene, wild = self._context.frame, self._context.scene, self._admission.counts
+    def choose(self, rays: Rays) -> None:
+        samples, scene, wild = self._context.samples, self._context.scene, self._admission.counts
 
         def prepare() -> tuple[int, list[Any]]:
-            turn = wp.vec2i(frame.number, frame.shares)
-            inputs = [frame.lights_from(work.first), turn, self._buffers.tiles, wild]
-            inputs += [scene.vertices, scene.triangles, *self._candidates.structs(work)]
+            turn = wp.vec2i(samples.number, samples.bands)
+            inputs = [samples.lights_from(rays.first), turn, self._buffers.tiles, wild]
+            inputs += [scene.vertices, scene.triangles, *self._candidates.structs(rays)]
             return 1, [*inputs, self._clusters, self._ends]
 
-        self._launch(candidates.find_candidates, self._context.key(work), prepare)
+        self._launch(candidates.find_candidates, self._context.key(rays), prepare)
 
-    def trace(self, work: Pass) -> None:
-        frame = self._context.frame
+    def trace(self, rays: Rays) -> None:
+        samples = self._context.samples
 
         def prepare() -> tuple[int, list[Any]]:
             apart = BLOCK * self._context.records.blocks
-            inputs = [frame.lights_from(work.first), self._clusters, self._ends, apart, self._candidates.corners(work)]
-            inputs += [self._buffers.tiles, self._context.occluders(work), self._entries, self._context.answers(work)]
+            inputs = [
+                samples.lights_from(rays.first),
+                self._clusters,
+                self._ends,
+                apart,
+                self._candidates.corners(rays),
+            ]
+            inputs += [self._buffers.tiles, self._context.occluders(rays), self._entries, self._context.answers(rays)]
             return 1, inputs
 
-        self._launch(binning.bin_wide, self._context.key(work), prepare)
+        self._launch(binning.bin_wide, self._context.key(rays), prepare)
 
     def nbytes(self) -> int:
         entries = self._entries

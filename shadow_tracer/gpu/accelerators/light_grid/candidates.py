@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The triangles that may lie between a light and the rays of a share, and their records, made when first asked for.
+"""The triangles that may lie between a light and the rays of a band, and their records, made when first asked for.
 
 A robot's camera mostly sees a small part of what the mesh holds. The rays of a face of the light fill a pyramid: from
 the least to the largest (u, v), no farther along the face's axis than the farthest start, and no farther along Z than
 start and light. Whatever occludes one of them has a point in that pyramid, so sixteen triangles whose box lies beyond
 one of its seven planes have nothing to do with them (``clusters.py``). Records are made for 128 triangles together,
-when a share first wants one of them, and kept as long as the light stays, and those triangles; shares that work side by
+when a band first wants one of them, and kept as long as the light stays, and those triangles; bands that work side by
 side divide them.
 
 Planes are float64 in the world. In units of the anchor's scale they are at fault by less than 2^-48 of the sum of
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.slices import Slices
@@ -34,7 +34,6 @@ from shadow_tracer.gpu.exact.records import (
 )
 from shadow_tracer.gpu.occluders.clusters import CLUSTER, ClusterBoxes, Clusters, await_made, claim, make_boxes, publish
 from shadow_tracer.gpu.occluders.slots import blocks
-from shadow_tracer.gpu.samples.passes import Pass
 
 _CLUSTERS = BLOCK // CLUSTER  # of a block of records
 
@@ -70,7 +69,7 @@ def list_clusters(
 
 @wp.func
 def divide(k: int, count: int, turn: wp.vec2i) -> int:
-    """The k-th of ``count`` pieces of work: each share begins elsewhere."""
+    """The k-th of ``count`` pieces of rays: each band begins elsewhere."""
     return (k + count * turn[0] // turn[1]) % count
 
 
@@ -139,7 +138,7 @@ def find_candidates(
     found: wp.array(dtype=int),
     ends: wp.array(dtype=int),
 ):
-    """One thread, the ``turn[0]``-th of ``turn[1]`` shares that do so: boxes, the clusters of each light of the pass
+    """One thread, the ``turn[0]``-th of ``turn[1]`` bands that do so: boxes, the clusters of each light of the pass
     (``ends``: where those of each place end), and their records. Rays outside of the tiles ask
     for all triangles."""
     make_all_boxes(turn, vertices, triangles, clusters)
@@ -162,12 +161,12 @@ def find_candidates(
 
 
 class CandidateRecords:
-    """Records and corners made on demand, for all shares of a tracer: the records are those of the context, which
+    """Records and corners made on demand, for all bands of a tracer: the records are those of the context, which
     nobody else must have made meanwhile (``TriangleRecords.forget``)."""
 
     def __init__(self, context: Context) -> None:
         self._scene, self._records = context.scene, context.records
-        device, bounds = context.scene.device, context.frame.bounds
+        device, bounds = context.scene.device, context.samples.bounds
         self._boxes = ClusterBoxes(bounds.max_triangles, context.scene)
         self._corners = wp.empty(12 * (bounds.max_triangles + BLOCK * bounds.max_lights), dtype=float, device=device)
         self._made = wp.zeros(bounds.max_triangles // BLOCK + bounds.max_lights, dtype=int, device=device)
@@ -184,22 +183,22 @@ class CandidateRecords:
             self._slices(self._made, records.place(light.number) * records.blocks + first, last - first).zero_()
             self._slices(records.silent_of(light.number), first, last - first).zero_()
 
-    def corners(self, work: Pass) -> wp.array:
+    def corners(self, rays: Rays) -> wp.array:
         """Corners for the lights of a pass, light after light, each on a multiple of ``BLOCK`` triangles."""
         size = 12 * BLOCK * self._records.blocks
-        return self._slices(self._corners, self._records.place(work.first) * size, len(work.lights) * size)
+        return self._slices(self._corners, self._records.place(rays.first) * size, len(rays.lights) * size)
 
-    def structs(self, work: Pass) -> tuple[Clusters, Candidates]:
+    def structs(self, rays: Rays) -> tuple[Clusters, Candidates]:
         """As kernels see them, for the lights of a pass."""
-        records, lights = self._records, len(work.lights)
+        records, lights = self._records, len(rays.lights)
         candidates = Candidates()
         candidates.cull = int(records.front_face_culling)
         candidates.stride, candidates.blocks = records.stride, records.blocks
-        candidates.records = records.of(work.first, lights)
-        candidates.corners = self.corners(work)
-        first = records.place(work.first) * records.blocks
+        candidates.records = records.of(rays.first, lights)
+        candidates.corners = self.corners(rays)
+        first = records.place(rays.first) * records.blocks
         candidates.made = self._slices(self._made, first, lights * records.blocks)
-        candidates.silent = records.silent_of(work.first, lights)
+        candidates.silent = records.silent_of(rays.first, lights)
         return self._boxes.clusters(), candidates
 
     def nbytes(self) -> int:

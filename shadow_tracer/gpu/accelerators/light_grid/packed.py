@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from shadow_tracer.gpu.accelerators.admission import Admission
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Traits
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays, Traits
 from shadow_tracer.gpu.accelerators.light_grid.blocks import BlockGrid
 from shadow_tracer.gpu.accelerators.light_grid.threads import ThreadGrid
 from shadow_tracer.gpu.accelerators.light_grid.tiles import TileBuffers
 from shadow_tracer.gpu.device import forms
-from shadow_tracer.gpu.samples.passes import Pass
+from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.visibility.queries import Query
 
 
 class PackedGrid(Accelerator):
@@ -20,50 +21,50 @@ class PackedGrid(Accelerator):
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
         self._admission = Admission(context)
-        self._buffers = TileBuffers(context.frame)
-        wide = forms.wide(context.frame.device)
+        self._buffers = TileBuffers(context.samples)
+        wide = forms.wide(context.samples.device)
         self._way: BlockGrid | ThreadGrid = (BlockGrid if wide else ThreadGrid)(context, self._buffers, self._admission)
-        self.traits = Traits(lights_at_once=context.frame.bounds.max_lights, recordable=True, keeps_rays=wide)
+        self.traits = Traits(lights_at_once=context.samples.bounds.max_lights, recordable=True, keeps_rays=wide)
 
     def follow(self) -> None:
         """What is kept of the scene is shared."""
         self._way.follow()
 
-    def aim(self, work: Pass) -> None:
+    def aim(self, lights: Sequence[LightFrame]) -> None:
         """Records and corners of the lights."""
         with self._context.stages.stage("setup"):
-            for light in work.lights:
+            for light in lights:
                 self._way.prepare(light)
 
-    def show(self, work: Pass) -> None:
+    def show(self, rays: Rays, query: Query) -> None:
         """Pack the rays of the pass, sort the triangles into their tiles, test."""
         stages, way = self._context.stages, self._way
         with stages.stage("pack"):
-            if work.again:
+            if rays.again:
                 assert isinstance(way, BlockGrid)  # which keeps rays
-                self._begin(work)
+                self._begin(rays)
                 way.unpack()
             else:
-                self._pack(work)
+                self._pack(rays)
         with stages.stage("setup"):
-            way.choose(work)
+            way.choose(rays)
         with stages.stage("trace"):
-            way.trace(work)
-            self._admission.test_wild(work)
+            way.trace(rays)
+            self._admission.test_wild(rays)
 
-    def more(self, work: Pass) -> Iterator[None]:
+    def more(self, rays: Rays) -> Iterator[None]:
         """A part of the entries after the other."""
         assert isinstance(self._way, ThreadGrid)  # whose list has to hold all
-        self._pack(work)
-        yield from self._way.trace_parts(work)
+        self._pack(rays)
+        yield from self._way.trace_parts(rays)
 
-    def _begin(self, work: Pass) -> None:
-        self._buffers.tiles.lights, self._buffers.tiles.samples = len(work.lights), self._context.frame.count
+    def _begin(self, rays: Rays) -> None:
+        self._buffers.tiles.lights, self._buffers.tiles.samples = len(rays.lights), self._context.samples.count
 
-    def _pack(self, work: Pass) -> None:
-        self._begin(work)
-        self._admission.admit(work)
-        self._way.pack(work)
+    def _pack(self, rays: Rays) -> None:
+        self._begin(rays)
+        self._admission.admit(rays)
+        self._way.pack(rays)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

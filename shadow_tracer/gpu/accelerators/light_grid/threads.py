@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.admission import Admission
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.light_grid import binning, tracing
 from shadow_tracer.gpu.accelerators.light_grid.packing import Packer
 from shadow_tracer.gpu.accelerators.light_grid.tiles import (
@@ -21,7 +21,6 @@ from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES
 from shadow_tracer.gpu.occluders.corners import Corners
-from shadow_tracer.gpu.samples.passes import Pass
 
 _MOST_ITEMS = 65536
 # Threads that share lists whose length the host does not know.
@@ -33,9 +32,9 @@ class ThreadGrid:
 
     def __init__(self, context: Context, buffers: TileBuffers, admission: Admission) -> None:
         self._context, self._buffers, self._admission = context, buffers, admission
-        frame = context.frame
-        device, capacity, triangles = frame.device, frame.bounds.grid_entries, frame.bounds.max_triangles
-        self._packer = Packer(buffers, frame.bounds.max_lights, device)
+        samples = context.samples
+        device, capacity, triangles = samples.device, samples.bounds.grid_entries, samples.bounds.max_triangles
+        self._packer = Packer(buffers, samples.bounds.max_lights, device)
         self._slices = Slices()
         places = 16 * buffers.most_blocks
         items = min(_MOST_ITEMS, 64 * triangles)
@@ -64,39 +63,39 @@ class ThreadGrid:
     def prepare(self, light: LightFrame) -> None:
         self._corners.make(light, self._context.records.prepare(light))
 
-    def choose(self, work: Pass) -> None:
+    def choose(self, rays: Rays) -> None:
         """All triangles may concern some ray."""
 
-    def pack(self, work: Pass) -> None:
-        frame, group = self._context.frame, self._admission.groups
-        states = frame.states_of(work.first, len(work.lights))
-        self._packer.pack(frame.lights_from(work.first), frame.rays, states, group)
+    def pack(self, rays: Rays) -> None:
+        samples, group = self._context.samples, self._admission.groups
+        states = samples.states_of(rays.first, len(rays.lights))
+        self._packer.pack(samples.lights_from(rays.first), samples.rays, states, group)
 
-    def occluders(self, work: Pass) -> Occluders:
+    def occluders(self, rays: Rays) -> Occluders:
         """The triangles of a pass."""
-        occluders = self._context.occluders(work)
-        occluders.corners = self._corners.of(work.first, len(work.lights))
+        occluders = self._context.occluders(rays)
+        occluders.corners = self._corners.of(rays.first, len(rays.lights))
         occluders.corners_apart = self._corners.stride
         return occluders
 
-    def trace(self, work: Pass) -> None:
+    def trace(self, rays: Rays) -> None:
         """As many entries as the list holds."""
-        self._count(work)
-        self._trace_part(work, 0)
+        self._count(rays)
+        self._trace_part(rays, 0)
 
-    def trace_parts(self, work: Pass) -> Iterator[None]:
+    def trace_parts(self, rays: Rays) -> Iterator[None]:
         """All entries, a list after the other."""
-        self._count(work)
+        self._count(rays)
         part, parts = 0, 1
         while part < parts:
-            self._trace_part(work, part)
+            self._trace_part(rays, part)
             yield
-            parts = int(self._context.frame.parts_of[work.first].numpy()[0])
+            parts = int(self._context.samples.parts_of[rays.first].numpy()[0])
             part += 1
 
-    def _units(self, work: Pass) -> tuple[int, int]:
+    def _units(self, rays: Rays) -> tuple[int, int]:
         """Triangles of the pass, and with them the places for items: what entries are counted of."""
-        triangles = self._context.scene.triangle_count * len(work.lights)
+        triangles = self._context.scene.triangle_count * len(rays.lights)
         return triangles, triangles + self._bins.items.shape[0]
 
     def _places(self) -> int:
@@ -104,43 +103,43 @@ class ThreadGrid:
         return 16 * (-(-tiles.lights * tiles.samples // 512) + FACES * tiles.lights)
 
     def _run(self, kernel: Any, dim: int, *inputs: Any) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self._context.frame.device)
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self._context.samples.device)
 
-    def _bin(self, work: Pass, emit: int, part: int) -> None:
-        frame, bins, (triangles, units) = self._context.frame, self._bins, self._units(work)
+    def _bin(self, rays: Rays, emit: int, part: int) -> None:
+        samples, bins, (triangles, units) = self._context.samples, self._bins, self._units(rays)
         window = wp.int64(part * bins.capacity)
-        given = (self._buffers.tiles, self.occluders(work), bins, self._context.answers(work))
+        given = (self._buffers.tiles, self.occluders(rays), bins, self._context.answers(rays))
         for kernel, dim in ((binning.bin_triangles, triangles), (binning.bin_items, units - triangles)):
-            self._run(kernel, dim, frame.lights_from(work.first), emit, window, *given)
+            self._run(kernel, dim, samples.lights_from(rays.first), emit, window, *given)
 
-    def _count(self, work: Pass) -> None:
+    def _count(self, rays: Rays) -> None:
         """Number the entries, and store the rays of covered tiles."""
-        frame, bins, (triangles, units) = self._context.frame, self._bins, self._units(work)
-        tiles, answers = self._buffers.tiles, self._context.answers(work)
+        samples, bins, (triangles, units) = self._context.samples, self._bins, self._units(rays)
+        tiles, answers = self._buffers.tiles, self._context.answers(rays)
         bins.item_count.zero_()
-        given = (tiles, self.occluders(work), bins, answers)
-        self._run(binning.itemise_triangles, triangles, frame.lights_from(work.first), *given)
-        self._bin(work, 0, 0)
+        given = (tiles, self.occluders(rays), bins, answers)
+        self._run(binning.itemise_triangles, triangles, samples.lights_from(rays.first), *given)
+        self._bin(rays, 0, 0)
         offsets = self._slices(bins.offsets, 0, units)
         wp.utils.array_scan(offsets, offsets, inclusive=True)
         self._run(tracing.write_covered, self._places(), tiles, answers)
 
-    def _trace_part(self, work: Pass, part: int) -> None:
-        frame, tiles, bins, places = self._context.frame, self._buffers.tiles, self._bins, self._places()
-        answers = self._context.answers(work)
-        self._run(tracing.start_part, 1, self._units(work)[1], part, bins, frame.parts_of[work.first], answers)
+    def _trace_part(self, rays: Rays, part: int) -> None:
+        samples, tiles, bins, places = self._context.samples, self._buffers.tiles, self._bins, self._places()
+        answers = self._context.answers(rays)
+        self._run(tracing.start_part, 1, self._units(rays)[1], part, bins, samples.parts_of[rays.first], answers)
         bins.length.zero_()
-        self._bin(work, 1, part)
+        self._bin(rays, 1, part)
         length, start = self._slices(bins.length, 0, places), self._slices(bins.start, 0, places)
         wp.utils.array_scan(length, start, inclusive=False)
-        threads = forms.tasks(frame.device, _THREADS_CUDA)
+        threads = forms.tasks(samples.device, _THREADS_CUDA)
         self._run(tracing.scatter_entries, threads, threads, bins)
         self._run(tracing.count_chunks, places + 1, part, places, bins, answers)
         chunks = self._slices(bins.chunks, 0, places + 1)
         wp.utils.array_scan(chunks, chunks, inclusive=False)
         self._run(tracing.list_chunks, places, bins)
-        warps = forms.tasks(frame.device, _THREADS_CUDA // 32)
-        self._run(tracing.trace_chunks, 32 * warps, warps, places, tiles, self.occluders(work), bins, answers)
+        warps = forms.tasks(samples.device, _THREADS_CUDA // 32)
+        self._run(tracing.trace_chunks, 32 * warps, warps, places, tiles, self.occluders(rays), bins, answers)
 
     def nbytes(self) -> int:
         bins = self._bins

@@ -27,7 +27,7 @@ import warp as wp
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.sort import KeySort
 from shadow_tracer.gpu.exact.light_space import FACES
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 
 TILE = 32  # rays
 QUANTITIES = 6
@@ -148,7 +148,7 @@ def no_column(column: int, tiles: Tiles):
 class TileBuffers:
     """Owns the memory of the tiles of a pass."""
 
-    def __init__(self, buffers: FrameBuffers) -> None:
+    def __init__(self, buffers: SampleSet) -> None:
         device, rays = buffers.device, buffers.bounds.max_rays
         groups = FACES * buffers.bounds.max_lights
         # Every group may end in a column that is not full.

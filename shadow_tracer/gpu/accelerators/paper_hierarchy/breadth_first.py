@@ -283,16 +283,16 @@ class BreadthFirst:
     """Queues and the loop over them, allocated once for trees of up to ``levels`` levels."""
 
     def __init__(self, context: Context, levels: int, accept: bool) -> None:
-        frame = context.frame
-        self._device = frame.device
-        capacity = max(1, frame.bounds.queue_capacity // _QUEUE_SHARE)
+        samples = context.samples
+        self._device = samples.device
+        capacity = max(1, samples.bounds.queue_capacity // _QUEUE_SHARE)
         self._work = Work()
         self._work.accept = int(accept)
-        self._work.queue = wp.empty((levels, capacity), dtype=wp.vec2i, device=frame.device)
-        self._work.counts = wp.zeros(levels, dtype=int, device=frame.device)
-        self._work.begun = wp.zeros(levels, dtype=int, device=frame.device)
-        self._work.chunk = wp.zeros(5, dtype=int, device=frame.device)
-        self._work.running = wp.zeros(1, dtype=int, device=frame.device)
+        self._work.queue = wp.empty((levels, capacity), dtype=wp.vec2i, device=samples.device)
+        self._work.counts = wp.zeros(levels, dtype=int, device=samples.device)
+        self._work.begun = wp.zeros(levels, dtype=int, device=samples.device)
+        self._work.chunk = wp.zeros(5, dtype=int, device=samples.device)
+        self._work.running = wp.zeros(1, dtype=int, device=samples.device)
 
     def run(self, triangles: Triangles, count: int, cones: ConeTree, leaves: Leaves, answers: Answers) -> None:
         """Show the first ``count`` triangles, as far as they take part, to the rays of the tree."""

@@ -280,11 +280,11 @@ class ConeTree:
     """Nodes over the rays of a frame, allocated once."""
 
     def __init__(self, context: Context) -> None:
-        frame = context.frame
-        self._frame = frame
-        self.capacity_levels = 4 + math.ceil(math.log(max(frame.bounds.max_rays, 2), 4))
-        nodes = frame.bounds.max_rays // 2 + 64
-        device = frame.device
+        samples = context.samples
+        self._samples = samples
+        self.capacity_levels = 4 + math.ceil(math.log(max(samples.bounds.max_rays, 2), 4))
+        nodes = samples.bounds.max_rays // 2 + 64
+        device = samples.device
         self.tree = Tree()
         self.tree.levels = wp.zeros(self.capacity_levels + 1, dtype=wp.vec4i, device=device)
         self.tree.cones = wp.empty(nodes, dtype=wp.vec4, device=device)
@@ -295,13 +295,13 @@ class ConeTree:
 
     def shape(self, as_list: bool) -> None:
         """Lay the levels out for the samples of the frame: as the image they are, or as a list."""
-        width = self._frame.count if as_list or self._frame.width == 0 else self._frame.width
-        shape = (width, self._frame.count // width)
+        width = self._samples.count if as_list or self._samples.width == 0 else self._samples.width
+        shape = (width, self._samples.count // width)
         if shape != self._shape:
             self._shape = shape
             self._rows = tree_shape(*shape)
             self.tree.top = len(self._rows) - 2
-            self._frame.upload(self.tree.levels, np.array(self._rows, dtype=np.int32))
+            self._samples.upload(self.tree.levels, np.array(self._rows, dtype=np.int32))
 
     def build(self, space: LightSpace, leaves: Leaves, states: wp.array) -> None:
         """Make all nodes, over the rays that take part and are not in shadow yet."""
@@ -309,14 +309,14 @@ class ConeTree:
             nodes = self._rows[level][0] * self._rows[level][1]
             if level == 1:
                 inputs = [space, leaves, states, self.tree]
-                wp.launch(build_parents_of_rays, dim=nodes, inputs=inputs, device=self._frame.device)
+                wp.launch(build_parents_of_rays, dim=nodes, inputs=inputs, device=self._samples.device)
             else:
-                wp.launch(build_level, dim=nodes, inputs=[level, self.tree], device=self._frame.device)
+                wp.launch(build_level, dim=nodes, inputs=[level, self.tree], device=self._samples.device)
 
     def resolve(self, leaves: Leaves, states: wp.array) -> None:
         """Write SHADOWED to the rays of nodes that are done."""
         inputs = [leaves, self.tree, states]
-        wp.launch(resolve_done, dim=self._frame.count, inputs=inputs, device=self._frame.device)
+        wp.launch(resolve_done, dim=self._samples.count, inputs=inputs, device=self._samples.device)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

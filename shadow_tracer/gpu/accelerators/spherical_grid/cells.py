@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.spherical_grid.extent import (
     PAD,
     TURN,
@@ -31,7 +31,6 @@ from shadow_tracer.gpu.device.sort import KeySort
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import LightSpace, edge_pad, magnitude_bound, plane_of, plane_pad, space_of
-from shadow_tracer.gpu.samples.passes import Pass
 
 _FAR_OUT = 1.0e18
 _RADIUS_PAD = 2.0**-20
@@ -261,7 +260,7 @@ class CellLists:
 
     def __init__(self, context: Context, rays: TiledRays, cells: int, fixed: bool) -> None:
         self._context, self._rays, self._cells, self._fixed = context, rays, cells, fixed
-        bounds, device = context.frame.bounds, context.frame.device
+        bounds, device = context.samples.bounds, context.samples.device
         self._sort = KeySort(bounds.grid_entries, device)
         self.keys, self.values = self._sort.keys, self._sort.values
         self.begins = wp.empty(len(rays.tiles.load) + 1, dtype=int, device=device)
@@ -270,26 +269,26 @@ class CellLists:
         self._lists.sums = wp.empty(bounds.max_triangles, dtype=wp.int64, device=device)
         self._lists.keys, self._lists.values = self.keys, self.values
 
-    def count(self, work: Pass, occluders: Occluders) -> None:
+    def count(self, rays: Rays, occluders: Occluders) -> None:
         """Count the entries and tell how many parts they take."""
-        frame, triangles, lists = self._context.frame, self._context.scene.triangle_count, self._lists
-        device, tiles = frame.device, self._rays.tiles
-        inputs = [frame.light_frame_of[work.first], 0, wp.int64(0), occluders, tiles, lists]
+        samples, triangles, lists = self._context.samples, self._context.scene.triangle_count, self._lists
+        device, tiles = samples.device, self._rays.tiles
+        inputs = [samples.light_frame_of[rays.first], 0, wp.int64(0), occluders, tiles, lists]
         wp.launch(cover_tiles, dim=triangles, inputs=inputs, device=device)
         if forms.wide(device):
             wp.launch(scan_counts, dim=1, inputs=[triangles, lists], device=device)
         else:
             wp.utils.array_scan(lists.counts[:triangles], lists.sums[:triangles], inclusive=True)
-        row = work.first % len(frame.counters)
-        inputs = [row, triangles, lists, self._rays.counts, frame.parts_of[work.first], frame.counters]
+        row = rays.first % len(samples.counters)
+        inputs = [row, triangles, lists, self._rays.counts, samples.parts_of[rays.first], samples.counters]
         wp.launch(note_parts, dim=1, inputs=inputs, device=device)
-        wp.launch(note_largest, dim=self._rays.tile_count, inputs=[row, tiles, frame.counters], device=device)
+        wp.launch(note_largest, dim=self._rays.tile_count, inputs=[row, tiles, samples.counters], device=device)
 
-    def emit(self, work: Pass, part: int, occluders: Occluders) -> None:
+    def emit(self, rays: Rays, part: int, occluders: Occluders) -> None:
         """Make the list of part number ``part``."""
-        frame, triangles, lists = self._context.frame, self._context.scene.triangle_count, self._lists
-        device, tiles, absent = frame.device, self._rays.tiles, self._rays.tile_count * self._cells
-        capacity = frame.bounds.grid_entries
+        samples, triangles, lists = self._context.samples, self._context.scene.triangle_count, self._lists
+        device, tiles, absent = samples.device, self._rays.tiles, self._rays.tile_count * self._cells
+        capacity = samples.bounds.grid_entries
         skipped = part * capacity
         entries = capacity
         if self._fixed:
@@ -297,7 +296,7 @@ class CellLists:
         else:
             total = int(lists.sums[triangles - 1 : triangles].numpy()[0])
             entries = min(max(total - skipped, 0), capacity)
-        inputs = [frame.light_frame_of[work.first], 1, wp.int64(skipped), occluders, tiles, lists]
+        inputs = [samples.light_frame_of[rays.first], 1, wp.int64(skipped), occluders, tiles, lists]
         wp.launch(cover_tiles, dim=triangles, inputs=inputs, device=device)
         self._sort.sort(entries, 0, absent.bit_length())
         inputs = [triangles, wp.int64(skipped), tiles, lists, self.begins]

@@ -20,12 +20,11 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.admission import IN_TREE, Admission
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.sort import KeySort
 from shadow_tracer.gpu.exact.light_frame import SHADOWED, LightFrame
 from shadow_tracer.gpu.exact.light_space import ray_depth, space_of
-from shadow_tracer.gpu.samples.passes import Pass
 
 _STRIPES = wp.constant(64)
 _FAR_OUT = wp.constant(3.0e38)
@@ -305,7 +304,7 @@ class TiledRays:
     def __init__(self, context: Context, admission: Admission, rays_per_tile: int, cells: int, threshold: int) -> None:
         self._context, self._admission = context, admission
         self._rays_per_tile, self._cells, self.threshold = rays_per_tile, cells, threshold
-        device, rays = context.frame.device, context.frame.bounds.max_rays
+        device, rays = context.samples.device, context.samples.bounds.max_rays
         self._sort = KeySort(rays, device)
         self.keys, self.order = self._sort.keys, self._sort.values
         self.polar = wp.empty(rays, dtype=wp.vec3, device=device)
@@ -331,32 +330,32 @@ class TiledRays:
     @property
     def tile_count(self) -> int:
         """Tiles there may be in this frame."""
-        return self._tiles_for(self._context.frame.count)
+        return self._tiles_for(self._context.samples.count)
 
     @property
     def item_bound(self) -> int:
         """The most work items there may be in this frame."""
-        rays = self._context.frame.count
+        rays = self._context.samples.count
         return min(rays, rays // self.threshold + self.tile_count)
 
-    def make(self, work: Pass) -> None:
+    def make(self, rays: Rays) -> None:
         """Measure, map, sort and split the rays that take part and are not known to be in shadow."""
-        frame, light = self._context.frame, self._context.frame.light_frame_of[work.first]
-        device, count, absent = frame.device, frame.count, self.tile_count
-        states, group = frame.states_of(work.first), self._admission.groups
+        samples, light = self._context.samples, self._context.samples.light_frame_of[rays.first]
+        device, count, absent = samples.device, samples.count, self.tile_count
+        states, group = samples.states_of(rays.first), self._admission.groups
         wp.launch(clear_limits, dim=6 * _STRIPES, inputs=[self._limits], device=device)
-        inputs = [light, frame.rays, states, group, self.polar, self._limits]
+        inputs = [light, samples.rays, states, group, self.polar, self._limits]
         wp.launch(measure_rays, dim=count, inputs=inputs, device=device)
         inputs = [light, absent, self._cells, self._limits, self.tiles.grid]
         wp.launch(fit_grid, dim=1, inputs=inputs, device=device)
         wp.launch(place_tiles, dim=absent, inputs=[self.tiles], device=device)
-        inputs = [absent, frame.rays, states, group, self.polar, self.tiles, self.keys, self.order]
+        inputs = [absent, samples.rays, states, group, self.polar, self.tiles, self.keys, self.order]
         wp.launch(map_rays, dim=count, inputs=inputs, device=device)
         self._sort.sort(count, 0, absent.bit_length())
         self._split(count, absent)
 
     def _split(self, count: int, absent: int) -> None:
-        device = self._context.frame.device
+        device = self._context.samples.device
         self.counts.zero_()
         wp.launch(flag_tiles, dim=count, inputs=[absent, self.keys, self._flags], device=device)
         self._sum(count, self._segments)
@@ -369,7 +368,7 @@ class TiledRays:
         wp.launch(end_items, dim=count, inputs=inputs, device=device)
 
     def _sum(self, count: int, sums: wp.array) -> None:
-        device = self._context.frame.device
+        device = self._context.samples.device
         if forms.wide(device):
             wp.launch(scan_flags, dim=1, inputs=[count, self._flags, sums], device=device)
         else:

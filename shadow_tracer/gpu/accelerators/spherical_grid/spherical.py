@@ -11,22 +11,22 @@ items need not know of each other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.admission import Admission
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Traits
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays, Traits
 from shadow_tracer.gpu.accelerators.spherical_grid.cells import CellLists
 from shadow_tracer.gpu.accelerators.spherical_grid.rays import TiledRays, Tiles, cell_of
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import LEAF_TESTS, PASSES
 from shadow_tracer.gpu.exact.decision import NO, filter_pair, ray_magnitude
 from shadow_tracer.gpu.exact.faces import Occluders
-from shadow_tracer.gpu.exact.light_frame import LIT
+from shadow_tracer.gpu.exact.light_frame import LIT, LightFrame
 from shadow_tracer.gpu.occluders.corners import Corners
-from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.visibility.answers import Answers, settle
+from shadow_tracer.gpu.visibility.queries import Query
 
 
 @wp.kernel(enable_backward=False)
@@ -103,58 +103,58 @@ class SphericalGrid(Accelerator):
         fixed: bool | None = None,
     ) -> None:
         self._context = context
-        self.traits = Traits(recordable=not forms.wide(context.frame.device) if fixed is None else fixed)
+        self.traits = Traits(recordable=not forms.wide(context.samples.device) if fixed is None else fixed)
         self._admission = Admission(context)
         self._corners = context.shared.take(Corners, lambda: Corners(context.records))
         self.rays = TiledRays(context, self._admission, rays_per_tile, cells, threshold)
         self.lists = CellLists(context, self.rays, cells, self.traits.recordable)
 
-    def aim(self, work: Pass) -> None:
+    def aim(self, lights: Sequence[LightFrame]) -> None:
         """Records and corners of the light."""
         with self._context.stages.stage("setup"):
-            self._corners.make(work.light, self._context.records.prepare(work.light))
+            self._corners.make(lights[0], self._context.records.prepare(lights[0]))
 
-    def show(self, work: Pass) -> None:
+    def show(self, rays: Rays, query: Query) -> None:
         """Sort rays and triangles into the grid and test what meets there."""
-        self._begin(work)
-        self._part(work, 0)
+        self._begin(rays)
+        self._part(rays, 0)
         with self._context.stages.stage("trace"):
-            self._admission.test_wild(work)
+            self._admission.test_wild(rays)
 
-    def more(self, work: Pass) -> Iterator[None]:
+    def more(self, rays: Rays) -> Iterator[None]:
         """A part of the entries after the other."""
-        self._begin(work)
-        for part in range(int(self._context.frame.parts_of[work.first].numpy()[0])):
-            self._part(work, part)
+        self._begin(rays)
+        for part in range(int(self._context.samples.parts_of[rays.first].numpy()[0])):
+            self._part(rays, part)
             yield
 
-    def _begin(self, work: Pass) -> None:
+    def _begin(self, rays: Rays) -> None:
         stages = self._context.stages
         with stages.stage("sort"):
-            self._admission.admit(work)
-            self.rays.make(work)
+            self._admission.admit(rays)
+            self.rays.make(rays)
         with stages.stage("count"):
-            self.lists.count(work, self._occluders(work))
+            self.lists.count(rays, self._occluders(rays))
 
-    def _part(self, work: Pass, part: int) -> None:
+    def _part(self, rays: Rays, part: int) -> None:
         stages = self._context.stages
         with stages.stage("build"):
-            self.lists.emit(work, part, self._occluders(work))
+            self.lists.emit(rays, part, self._occluders(rays))
         with stages.stage("trace"):
-            self._trace_items(work)
+            self._trace_items(rays)
 
-    def _occluders(self, work: Pass) -> Occluders:
-        occluders = self._context.occluders(work)
-        occluders.corners = self._corners.of(work.first)
+    def _occluders(self, rays: Rays) -> Occluders:
+        occluders = self._context.occluders(rays)
+        occluders.corners = self._corners.of(rays.first)
         return occluders
 
-    def _trace_items(self, work: Pass) -> None:
-        frame, rays, lists = self._context.frame, self.rays, self.lists
-        lanes = 1 if forms.wide(frame.device) else rays.threshold
-        inputs = [lanes, frame.rays, rays.polar, rays.keys, rays.order, rays.items, rays.counts, rays.tiles]
-        inputs += [lists.begins, lists.keys, lists.values, self._context.records.of(work.first)]
-        inputs += [self._context.answers(work)]
-        wp.launch(trace_items, dim=rays.item_bound * lanes, inputs=inputs, device=frame.device)
+    def _trace_items(self, rays: Rays) -> None:
+        samples, items, lists = self._context.samples, self.rays, self.lists
+        lanes = 1 if forms.wide(samples.device) else items.threshold
+        inputs = [lanes, samples.rays, items.polar, items.keys, items.order, items.items, items.counts, items.tiles]
+        inputs += [lists.begins, lists.keys, lists.values, self._context.records.of(rays.first)]
+        inputs += [self._context.answers(rays)]
+        wp.launch(trace_items, dim=items.item_bound * lanes, inputs=inputs, device=samples.device)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

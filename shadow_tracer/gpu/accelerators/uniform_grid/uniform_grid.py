@@ -90,7 +90,7 @@ class UniformGrid(Walker):
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
-        bounds, device = context.frame.bounds, context.frame.device
+        bounds, device = context.samples.bounds, context.samples.device
         triangles = bounds.max_triangles
         self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
         self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
@@ -105,7 +105,7 @@ class UniformGrid(Walker):
 
     def build(self) -> Structure:
         """Sort the triangles into cells."""
-        scene, device, grid = self._context.scene, self._context.frame.device, self._grid
+        scene, device, grid = self._context.scene, self._context.samples.device, self._grid
         count = scene.triangle_count
         grid.box = scene_box(*scene.box())
         along = cells_along(np.array(grid.box.half), min(_CELLS_PER_TRIANGLE * count, self._most_cells))

@@ -92,7 +92,7 @@ def _outcome(device: str, name: str, seed: int) -> Outcome:
     wp.launch(judge_all, dim=out.shape, inputs=inputs, device=device)
     hidden = wp.empty((len(points), len(triangles)), dtype=wp.uint8, device=device)
     homogeneous = wp.vec4d(*light.homogeneous)
-    inputs = [homogeneous, frame.samples, scene.vertices, scene.triangles, hidden]
+    inputs = [homogeneous, frame.positions, scene.vertices, scene.triangles, hidden]
     wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=device)
     faces = wp.empty(len(points), dtype=int, device=device)
     wp.launch(find_faces, dim=len(points), inputs=[frame.rays, faces], device=device)

@@ -199,7 +199,7 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
     if not hidden.size:
         hidden.resize((len(points), count), refcheck=False)
         out = wp.empty(hidden.shape, dtype=wp.uint8, device=tracer.device)
-        inputs = [wp.vec4d(*light.homogeneous), engine._frame.samples]
+        inputs = [wp.vec4d(*light.homogeneous), engine._whole.positions]
         inputs += [engine._scene.vertices, engine._scene.triangles, out]
         wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=tracer.device)
         hidden[:] = out.numpy()

@@ -14,7 +14,7 @@ from node_fuzz import LIGHTS, RAYS, bundles, decide_all
 
 from shadow_tracer import Bounds, Scene
 from shadow_tracer.gpu.accelerators.admission import Admission
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.paper_hierarchy import cone_test, cones
 from shadow_tracer.gpu.accelerators.paper_hierarchy.breadth_first import Triangles, see
 from shadow_tracer.gpu.device.stages import Stages
@@ -23,9 +23,8 @@ from shadow_tracer.gpu.exact.light_space import make_light_space
 from shadow_tracer.gpu.occluders.corners import Corners
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
-from shadow_tracer.gpu.samples.passes import Pass
 from shadow_tracer.gpu.samples.rays import project
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 
 
 @wp.kernel(enable_backward=False)
@@ -55,7 +54,7 @@ def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
     rays, corners = bundles(np.random.default_rng(seed), light)
     points, triangles = rays.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)
     bounds = Bounds(len(triangles), len(points), 1, 64, 1)
-    frame, scene = FrameBuffers(bounds, wp.get_device(device)), SceneBuffers(bounds, wp.get_device(device))
+    frame, scene = SampleSet(bounds, wp.get_device(device)), SceneBuffers(bounds, wp.get_device(device))
     context = Context(
         frame, scene, TriangleRecords(bounds, scene, frame.light_frame_of, frame.host), Stages(frame.device)
     )
@@ -63,7 +62,7 @@ def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
     world.put("mesh", corners.reshape(-1, 3), triangles)
     scene.sync(world)
     bias = np.where(np.arange(len(points)) % 3 == 0, 0.02, 0.0)
-    frame.upload(frame.samples, np.concatenate([points, bias[:, None]], axis=1))
+    frame.upload(frame.positions, np.concatenate([points, bias[:, None]], axis=1))
     frame.upload(frame.valid, np.ones(len(points), np.uint8))
     frame.set_samples(len(points), 0)
     # A small anchor leaves most samples far to the side of it.
@@ -74,7 +73,7 @@ def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
     made = context.records.prepare(around)
     seen, rays_in_tree, tree = Corners(context.records), Admission(context), cones.ConeTree(context)
     seen.make(around, made)
-    rays_in_tree.admit(Pass((around,)))
+    rays_in_tree.admit(Rays((around,)))
     assert (rays_in_tree.groups.numpy() == 1).all()
     leaves = cones.Leaves()
     leaves.rays, leaves.group = frame.rays, rays_in_tree.groups
@@ -85,7 +84,7 @@ def _outcome(device: str, name: str, spheres: bool, seed: int) -> Outcome:
     what.corners, what.indices, what.records = seen.of(0), scene.triangles, context.records.memory
     tree.build(what.space, leaves, frame.states_of(0))
     hidden = wp.empty((len(points), len(triangles)), dtype=wp.uint8, device=device)
-    inputs = [around.light, frame.samples, scene.vertices, scene.triangles, hidden]
+    inputs = [around.light, frame.positions, scene.vertices, scene.triangles, hidden]
     wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=device)
     exact = hidden.numpy().astype(bool)
     outcome = Outcome([], [], [], [])

@@ -41,7 +41,7 @@ def _tracer(device: str, graphs: bool | None = False, bounds: dict[str, int] | N
     }
     tracer = ShadowTracer("light_grid", "spherical", device, Bounds(**{**limits, **(bounds or {})}), graphs=graphs)
     engine: Any = tracer._engine.inside
-    engine._team[0].pipeline = spherical.SphericalGrid("spherical", engine._context, **settings)
+    engine._bands[0].pipeline = spherical.SphericalGrid("spherical", engine._context, **settings)
     return tracer
 
 
@@ -81,9 +81,9 @@ def cells_of_rays(
 def _exactly_hidden(tracer: Any, count: int) -> np.ndarray:
     """(samples, triangles) bool: every exact decision there is."""
     engine = tracer._engine.inside
-    frame, scene = engine._frame, engine._scene
+    frame, scene = engine._whole, engine._scene
     hidden = wp.zeros((count, scene.triangle_count), dtype=wp.uint8, device=engine.device)
-    inputs = [frame.light_frame_of[0], frame.samples, scene.vertices, scene.triangles, hidden]
+    inputs = [frame.light_frame_of[0], frame.positions, scene.vertices, scene.triangles, hidden]
     wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=engine.device)
     return hidden.numpy().astype(bool)
 
@@ -302,7 +302,7 @@ def test_work_items(any_device: str, name: str, threshold: int) -> None:
     assert all(len(np.unique(keys[a:b])) == 1 for a, b in zip(bounds, bounds[1:], strict=False))
     in_tile = np.bincount(keys[:2000])
     assert items == (-(-in_tile // threshold)).sum() and tiles == (in_tile > 0).sum()
-    assert tracer._engine.inside._frame.read_counters()["splits"] == items - tiles
+    assert tracer._engine.inside._whole.read_counters()["splits"] == items - tiles
     assert 0.05 < hidden.mean() < 0.95
 
 
@@ -320,7 +320,7 @@ def test_depth_cells_save_tests(any_device: str) -> None:
         tracer = _tracer(any_device, cells=cells, rays_per_tile=64)
         tracer.scene.put("room", vertices, triangles)
         answers.append(tracer.occluded(points, light))
-        counters = tracer._engine.inside._frame.read_counters()
+        counters = tracer._engine.inside._whole.read_counters()
         tests.append(counters["leaf_tests"] / counters["rays"])
     assert all(np.array_equal(answer, answers[0]) for answer in answers) and 0.1 < answers[0].mean() < 0.9
     assert tests[0] > 1.05 * tests[1] and tests[1] > 1.05 * tests[2], tests
@@ -343,7 +343,7 @@ def test_the_grid_is_clamped_to_a_spot(any_device: str) -> None:
         tracer.occluded(points, SpotLight("spot", (0.0, 0.0, 0.0), forward, angle))
         grid = _grid_of(tracer).rays.tiles.grid.numpy()[0]
         sizes.append(1.0 / (grid["columns_per_radian"] * grid["rows_per_radian"]))
-        entries.append(tracer._engine.inside._frame.read_counters()["entries"])
+        entries.append(tracer._engine.inside._whole.read_counters()["entries"])
         assert 300 < grid["columns"] * grid["rows"] <= 500
     assert all(b < 0.6 * a for a, b in zip(sizes, sizes[1:], strict=False)), sizes
     assert all(b < 0.6 * a for a, b in zip(entries, entries[1:], strict=False)), entries
@@ -397,14 +397,14 @@ def test_fixed_size_and_few_entries(any_device: str) -> None:
     roomy = _tracer(any_device, fixed=True)
     roomy.scene.put("mesh", *mesh)
     expected = roomy.occluded(points, _LAMP)
-    counters = roomy._engine.inside._frame.read_counters()
+    counters = roomy._engine.inside._whole.read_counters()
     total = counters["entries"]
     assert 0.1 < expected.mean() < 0.9 and total > 60
     for entries in (1, total // 2, total - 1, total, total + 1):
         tracer = _tracer(any_device, fixed=True, bounds={"grid_entries": entries})
         tracer.scene.put("mesh", *mesh)
         np.testing.assert_array_equal(tracer.occluded(points, _LAMP), expected)
-        again = tracer._engine.inside._frame.read_counters()
+        again = tracer._engine.inside._whole.read_counters()
         assert (again["entries"], again["largest_tile"]) == (total, counters["largest_tile"])
         if entries >= total:
             assert again["leaf_tests"] == counters["leaf_tests"] and again["passes"] == 1

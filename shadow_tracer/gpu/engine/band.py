@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays of a frame, all or a share of them, and a pipeline of their own: from depth to states.
+"""Some rows of the samples of a frame, or all, and the pipeline that works on their rays: from depth to states.
 
-Several shares work side by side (``workers.py``). What they have in common, the scene and what is made of it for a
+Several bands work side by side (``workers.py``). What they have in common, the scene and what is made of it for a
 light, is made before and only read; everything they write is their own.
 """
 
@@ -14,30 +14,31 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays
 from shadow_tracer.gpu.accelerators.registry import make_pipeline
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import COUNTERS
 from shadow_tracer.gpu.device.stages import Stages
+from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.changes import Revision
-from shadow_tracer.gpu.samples import normals, pixels, rays
+from shadow_tracer.gpu.samples import normals, pixels
 from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
-from shadow_tracer.gpu.samples.passes import Pass
-from shadow_tracer.gpu.samples.sample_set import FrameBuffers
-from shadow_tracer.gpu.visibility.queries import MASK_POINTS, Mask
+from shadow_tracer.gpu.samples.rays import project
+from shadow_tracer.gpu.samples.sample_set import SampleSet
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, MASK_POINTS, Mask
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
 from shadow_tracer.scene.checks import FloatArray
 
 
-class Share:
+class Band:
     """Rays and who finds their occluders.
 
     Args:
         keep: whether rays may be taken again while neither samples nor lights change.
 
     Attributes:
-        frame: their buffers.
+        samples: what they are rays of.
         names: pipeline and variant.
         pipeline: it.
         followed: the revision of the scene that the pipeline has followed last, None if there is none yet.
@@ -46,16 +47,18 @@ class Share:
 
     def __init__(self, context: Context, pipeline: str, variant: str, keep: bool = False) -> None:
         self.context = context
-        self.frame: FrameBuffers = context.frame
+        self.samples: SampleSet = context.samples
         self.names = (pipeline, variant)
         self.pipeline: Accelerator = make_pipeline(pipeline, variant, context)
         self.followed: Revision | None = None
         self.busy = 0.0
-        self._kept = KeptRays(self.frame) if keep and self.pipeline.traits.keeps_rays else None
+        self._kept = KeptRays(self.samples) if keep and self.pipeline.traits.keeps_rays else None
         self._again = False
-        bounds, device = self.frame.bounds, self.frame.device
+        bounds, device = self.samples.bounds, self.samples.device
         # Of a light that a mask is asked for.
-        self._points = wp.empty(MASK_POINTS if self.pipeline.traits.masks else 0, dtype=wp.vec4d, device=device)
+        self._points = wp.empty(
+            MASK_POINTS if MASK in self.pipeline.traits.queries else 0, dtype=wp.vec4d, device=device
+        )
         self._waiting = None if forms.wide(device) else WaitingPairs(bounds.max_rays, bounds.queue_capacity, device)
 
     @property
@@ -70,77 +73,78 @@ class Share:
 
     def begin(self, source: Source | None) -> None:
         """Counters to zero; samples of a depth image if there are to be new ones."""
-        frame = self.frame
-        frame.counters.zero_()
-        frame.queue_counts.zero_()
-        frame.parts.zero_()
+        samples = self.samples
+        samples.counters.zero_()
+        samples.queue_counts.zero_()
+        samples.parts.zero_()
         if source is not None:
-            depth = depth_of(frame, source.format)
+            depth = depth_of(samples, source.format)
             with self.stages.stage("unproject"):
-                pixels.unproject_image(frame.mine(depth), frame)
+                pixels.unproject_image(samples.mine(depth), samples)
                 if source.normals:
-                    normals.displace(depth, frame)
+                    normals.displace(depth, samples)
 
-    def aim(self, work: Pass) -> None:
-        """Make what depends on scene and lights alone. It belongs to all shares: one of them does it."""
+    def aim(self, lights: Sequence[LightFrame]) -> None:
+        """Make what depends on scene and lights alone. It belongs to all bands: one of them does it."""
         if self.context.scene.triangle_count:
-            self.pipeline.aim(work)
+            self.pipeline.aim(lights)
 
-    def project(self, work: Pass) -> None:
+    def project(self, rays: Rays) -> None:
         """Rays of the samples, unless they are there from the frame before."""
-        self._again = self._kept is not None and self._kept.recall(work)
+        self._again = self._kept is not None and self._kept.recall(rays.lights)
         if self._again:
             return
         if self._kept is None:
-            self.frame.renew()  # the rays of another share in the same buffers are overwritten
+            self.samples.renew()  # the rays of another band in the same buffers are overwritten
         before = self._kept.rays_so_far() if self._kept is not None else 0
-        self._project(work)
+        self._project(rays)
         if self._kept is not None:
-            self._kept.keep(work, before)
+            self._kept.keep(rays.lights, before)
 
-    def _project(self, work: Pass, counted: bool = False) -> None:
+    def _project(self, rays: Rays, counted: bool = False) -> None:
         with self.stages.stage("project"):
-            for place, light in enumerate(work.lights):
-                rays.project(self.frame, light.number, place, counted)
+            for place, light in enumerate(rays.lights):
+                project(self.samples, light.number, place, counted)
 
-    def trace(self, work: Pass) -> None:
+    def trace(self, rays: Rays) -> None:
         """Find their occluders."""
         if self.context.scene.triangle_count == 0:
             return
-        self.pipeline.show(replace(work, keep=True, again=self._again) if self._kept is not None else work)
+        shown = replace(rays, keep=True, again=self._again) if self._kept is not None else rays
+        self.pipeline.show(shown, ANY_HIT)
         if self._kept is not None:
             self._kept.structured()
-        self._decide(work)
+        self._decide(rays)
 
-    def _decide(self, work: Pass) -> None:
+    def _decide(self, rays: Rays) -> None:
         """Decide the pairs that wait."""
         if self._waiting is None:
             return
-        context, frame, lights = self.context, self.frame, len(work.lights)
+        context, samples, lights = self.context, self.samples, len(rays.lights)
 
         def pending() -> Pending:
-            counts = lights * frame.count, context.records.stride, context.scene.triangle_count
-            return Pending(context.answers(work), *counts, frame.rays, context.records.of(work.first, lights))
+            counts = lights * samples.count, context.records.stride, context.scene.triangle_count
+            return Pending(context.answers(rays), *counts, samples.rays, context.records.of(rays.first, lights))
 
         with self.stages.stage("resolve"):
-            self._waiting.decide(context.key(work), pending)
+            self._waiting.decide(context.key(rays), pending)
 
-    def finish(self, passes: Sequence[Pass]) -> int:
+    def finish(self, passes: Sequence[Rays]) -> int:
         """Further passes for lights of which a list of the pipeline could not hold all, as the host has fetched;
         returns how many. Only here it waits for the device before the result."""
-        frame, further = self.frame, 0
-        parts = frame.host.read(frame.parts).copy()
-        for work in passes:
-            if parts[work.first] <= 1:
+        samples, further = self.samples, 0
+        parts = samples.host.read(samples.parts).copy()
+        for rays in passes:
+            if parts[rays.first] <= 1:
                 continue
             # Another pass may have put its rays and records where those of this one lay.
-            self.context.records.plan(work.lights, len(passes[0].lights))
-            self.aim(work)
-            self._project(work, counted=True)
-            queue_count = frame.queue_count_of[work.first]
+            self.context.records.plan(rays.lights, len(passes[0].lights))
+            self.aim(rays.lights)
+            self._project(rays, counted=True)
+            queue_count = samples.queue_count_of[rays.first]
             queue_count.zero_()
-            for _ in self.pipeline.more(work):
-                self._decide(work)
+            for _ in self.pipeline.more(rays):
+                self._decide(rays)
                 queue_count.zero_()
                 further += 1
         return further
@@ -148,22 +152,22 @@ class Share:
     def see(self, place: int, points: FloatArray) -> tuple[npt.NDArray[np.uint64], dict[str, int]]:
         """Which of (P, 3) points of a light each sample sees, as bits, and counters; asked by the samples that the
         light at ``place`` of the batch, which has just been traced, shines on: of others the bits mean nothing."""
-        frame, scene, records = self.frame, self.context.scene, self.context.records
+        samples, scene, records = self.samples, self.context.scene, self.context.records
         if scene.triangle_count == 0:
-            return np.full(frame.count, (1 << len(points)) - 1, np.uint64), {}
+            return np.full(samples.count, (1 << len(points)) - 1, np.uint64), {}
         asked = Mask()
         asked.count, asked.points = len(points), self._points
-        frame.upload(self._points, np.column_stack([points, np.ones(len(points))]))
+        samples.upload(self._points, np.column_stack([points, np.ones(len(points))]))
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         asked.middle = wp.vec4d(*middle, 1.0)
         asked.radius = float(np.linalg.norm(points - middle, axis=1).max()) * (1.0 + 1e-9)
-        asked.positions, asked.states, asked.seen = frame.samples, frame.states_of(place), frame.seen
+        asked.positions, asked.states, asked.seen = samples.positions, samples.states_of(place), samples.seen
         asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
-        asked.cull, asked.counters = int(records.front_face_culling), frame.counters
-        frame.counters.zero_()
-        self.pipeline.show_points(asked)
-        rows = frame.counters.numpy().sum(axis=0)
-        return asked.seen.numpy()[: frame.count], dict(zip(COUNTERS, (int(value) for value in rows), strict=True))
+        asked.cull, asked.counters = int(records.front_face_culling), samples.counters
+        samples.counters.zero_()
+        self.pipeline.show(Rays((), mask=asked), MASK)
+        rows = samples.counters.numpy().sum(axis=0)
+        return asked.seen.numpy()[: samples.count], dict(zip(COUNTERS, (int(value) for value in rows), strict=True))
 
     def nbytes(self) -> int:
         """Bytes reserved beyond the buffers, on the device and, for rays that are kept, on the host."""
@@ -174,6 +178,6 @@ class Share:
 
     def copy_states(self, lights: int, into: npt.NDArray[np.uint8]) -> None:
         """Copy the states for ``lights`` lights into their columns of (L, N) ``into``."""
-        frame = self.frame
-        states = frame.states_of(0, lights).numpy().reshape(lights, frame.count)
-        into[:, frame.first : frame.first + frame.count] = states
+        samples = self.samples
+        states = samples.states_of(0, lights).numpy().reshape(lights, samples.count)
+        into[:, samples.first : samples.first + samples.count] = states

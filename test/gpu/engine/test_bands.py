@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shares of the rays at their edges: without pixels, without a scene, and what they say about themselves."""
+"""Bands of the rays at their edges: without pixels, without a scene, and what they say about themselves."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import pytest
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer, State
 from shadow_tracer.gpu.device import sort
 from shadow_tracer.gpu.device.workers import Workers
-from shadow_tracer.gpu.engine import share
-from shadow_tracer.gpu.engine.cuts import image_cuts
+from shadow_tracer.gpu.engine import band
+from shadow_tracer.gpu.engine.bands import image_bands
 
 _SIDE_BY_SIDE = ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"]
 _BOUNDS = Bounds(max_triangles=2000, max_rays=131072, max_lights=2, queue_capacity=4096, grid_entries=8192)
@@ -59,8 +59,8 @@ def _passes(names: str) -> int:
 
 @pytest.mark.parametrize("names", _SIDE_BY_SIDE)
 @pytest.mark.parametrize("case", ["a row", "top rows"])
-def test_shares_without_pixels_have_nothing_to_do(names: str, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All pixels of an image of one row belong to one share; and a few rows with measurements to a few."""
+def test_bands_without_pixels_have_nothing_to_do(names: str, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All pixels of an image of one row belong to one band; and a few rows with measurements to a few."""
     if case == "a row":
         camera, threads = Camera(40000, 1, 2e4, 2e4, 2e4, 0.0), 2
         depth = np.full((1, 40000), 3.0, np.float32)
@@ -69,20 +69,20 @@ def test_shares_without_pixels_have_nothing_to_do(names: str, case: str, monkeyp
         depth = np.zeros((480, 640), np.float32)
         depth[:5] = 3.0
     bounds = replace(_BOUNDS, max_rays=2 * depth.size)
-    cuts, _ = image_cuts(depth, np.arange(1, threads) / threads, bounds.max_rays // threads)
+    cuts, _ = image_bands(depth, np.arange(1, threads) / threads, bounds.max_rays // threads)
     assert any(first == end for first, end in cuts) and sum(end - first for first, end in cuts) == depth.size
     one, two = (_with_a_ball(_tracer(names, n, bounds)) for n in (1, threads))
     counts: list[int] = []
-    project = share.Share.project
+    project = band.Band.project
     monkeypatch.setattr(
-        share.Share, "project", lambda this, *rest: counts.append(this.frame.count) or project(this, *rest)
+        band.Band, "project", lambda this, *rest: counts.append(this.samples.count) or project(this, *rest)
     )
     points = np.linspace((-1.0, -1.0, 3.0), (1.0, 1.0, 3.0), 16384 * threads)
     for _ in range(2):
         found = _in_time(_states, two, depth, camera)
         assert np.array_equal(found, _states(one, depth, camera))
         assert (found == State.SHADOWED).any() and found.shape[1:] == depth.shape
-        # And the shares that had nothing to do take part again.
+        # And the bands that had nothing to do take part again.
         assert np.array_equal(_in_time(two.occluded, points, _LIGHTS[0]), one.occluded(points, _LIGHTS[0]))
     assert min(counts) > 0
 
@@ -91,14 +91,14 @@ def test_a_tree_of_no_rays_is_built() -> None:
     tracer = _with_a_ball(_tracer("cone_hierarchy/linear", 1))
     small = Camera(8, 8, 8.0, 8.0, 3.5, 3.5)
     _states(tracer, np.full((8, 8), 3.0, np.float32), small)
-    only: Any = tracer._engine.inside._team[0]
-    only.frame.set_samples(0, 8, 0)
+    only: Any = tracer._engine.inside._bands[0]
+    only.samples.set_samples(0, 8, 0)
     _in_time(only.pipeline._buffers.build, 0)
     assert only.pipeline._buffers.tree.levels == 1
 
 
 class _Ways:
-    """How the shares of each launch were run: side by side, by threads, or one after the other."""
+    """How the bands of each launch were run: side by side, by threads, or one after the other."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.by_threads = 0
@@ -147,7 +147,7 @@ def test_a_warm_up_loads_what_threads_need(names: str, monkeypatch: pytest.Monke
 @pytest.mark.wide
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_first_frame_loads_the_sorting_kernel_whatever_it_holds(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else the second frame, whose shares work side by side, would load it in several threads at once."""
+    """Else the second frame, whose bands work side by side, would load it in several threads at once."""
     launched: list[str] = []
     launch = sort.wp.launch
 
@@ -166,10 +166,10 @@ def test_a_first_frame_loads_the_sorting_kernel_whatever_it_holds(count: int, mo
 
 @pytest.mark.wide
 def test_a_stage_that_one_share_does_for_all_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of shares side by side the slowest is told, and what only others did."""
+    """Of bands side by side the slowest is told, and what only others did."""
     tracer = _with_a_ball(_tracer("brute_force"))
     _states(tracer, _depth())
-    first, second = (one.stages for one in tracer._engine.inside._team)
+    first, second = (one.stages for one in tracer._engine.inside._bands)
     monkeypatch.setattr(first, "read", lambda: {"setup": 3.0, "project": 1.0, "trace": 2.0})
     monkeypatch.setattr(second, "read", lambda: {"unproject": 1.0, "project": 4.0, "trace": 8.0})
     stages = tracer.trace(_depth(), _CAMERA, _LIGHTS).stages
