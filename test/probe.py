@@ -141,7 +141,7 @@ def fail_in_a_frame(tracer: ShadowTracer) -> None:
 def structure(tracer: ShadowTracer) -> Any:
     """What the rays of a walker go through, of its only band."""
     inside: Any = tracer._engine.inside
-    return inside._pipeline.structure
+    return inside._pipeline.build.structure
 
 
 def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
@@ -266,14 +266,14 @@ def remade(tracer: ShadowTracer, trace: Callable[[], object]) -> dict[str, set[i
 def tree_builds(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """Grows whenever the tree of ``mesh_bvh`` is made for another scene: whether it has been built or refitted."""
     inside: Any = tracer._engine.inside
-    pipeline, builds = inside._pipeline, list[bool]()
-    make_tree = pipeline._make_tree
+    tree, builds = inside._pipeline.build, list[bool]()
+    make_tree = tree._make_tree
 
     def counted(rebuild: bool) -> None:
         builds.append(rebuild)
         make_tree(rebuild)
 
-    monkeypatch.setattr(pipeline, "_make_tree", counted)
+    monkeypatch.setattr(tree, "_make_tree", counted)
     return builds
 
 
@@ -290,6 +290,5 @@ def loaded(tracer: ShadowTracer) -> set[Any]:
 def _forget(band: Any) -> None:
     if band._kept is not None:
         band._kept.forget()
-    hints = getattr(getattr(band.pipeline, "_tree", None), "hints", None)  # of mesh_bvh: what hid each ray last
-    if hints is not None:
-        hints.zero_()
+    if hasattr(band.pipeline, "_hints"):  # of mesh_bvh: what hid each ray last
+        band.pipeline._hints.zero_()

@@ -107,6 +107,24 @@ def test_the_scene_stands_once(any_device: str) -> None:
     assert scene > 2000 * (24 + 12)
 
 
+@pytest.mark.parametrize("pipeline", ["mesh_bvh", "uniform_grid", "hierarchical_grid"])
+def test_what_rays_walk_through_is_built_once(pipeline: str, any_device: str) -> None:
+    """By the first that asks after a change, for all sets; and again when a set is to forget."""
+    tracer, alone = _tracer(pipeline, any_device), _tracer("brute_force", any_device, sets=1)
+
+    def built(name: str) -> bool:
+        frame = tracer.trace(_depth(name), _CAMERAS[name], _LIGHTS, samples=name)
+        assert np.array_equal(_states(frame), _states(alone.trace(_depth(name), _CAMERAS[name], _LIGHTS)))
+        return "build" in frame.stages
+
+    for step in range(3):
+        for each in (tracer, alone):
+            each.scene.put("ball", *geometry.icosphere(2, 0.6, (0.1 * step, 0.0, 2.0)))
+        assert [built(name) for name in ("left", "right", "left")] == [True, False, False]
+    tracer._engine.forget("right")
+    assert [built("left"), built("right")] == [True, False]
+
+
 def test_one_set_too_many_is_refused(any_device: str) -> None:
     tracer, camera = _tracer(device=any_device), _CAMERAS["left"]
     tracer.warm_up()  # which needs no set

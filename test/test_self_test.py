@@ -12,8 +12,9 @@ import pytest
 
 from shadow_tracer import DirectionalLight, SpotLight, State, available_pipelines, self_test
 from shadow_tracer.gpu.accelerators.brute_force.brute_force import BruteForce
-from shadow_tracer.gpu.accelerators.bvh.mesh_bvh import MeshBvh
+from shadow_tracer.gpu.accelerators.bvh.mesh_bvh import Judge
 from shadow_tracer.gpu.accelerators.light_grid.packed import PackedGrid
+from shadow_tracer.gpu.accelerators.walker import Walker
 from shadow_tracer.gpu.engine.band import Band
 
 _NAMES = ["brute_force", *(name for name in available_pipelines() if name != "brute_force")]
@@ -102,7 +103,7 @@ def test_a_pipeline_that_fails_is_named(any_device: str, monkeypatch: pytest.Mon
     def fail(this: Any, *_: Any) -> None:
         raise RuntimeError("out of luck")
 
-    monkeypatch.setattr(MeshBvh, "show", fail)
+    monkeypatch.setattr(Judge, "show", fail)
     results = {result.pipeline: result for result in self_test.run(any_device, threads=1)}
     assert not results["mesh_bvh"].ok and "out of luck" in results["mesh_bvh"].text
     assert results["mesh_bvh"].differing == 2 * 64 * 48 * 3
@@ -111,7 +112,11 @@ def test_a_pipeline_that_fails_is_named(any_device: str, monkeypatch: pytest.Mon
 
 
 def test_a_wrong_reference_is_found_out(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BruteForce, "show", lambda *_: None)
+    class Blind(Walker):
+        def show(self, *_: Any) -> None:
+            """Nothing."""
+
+    monkeypatch.setattr(BruteForce, "walker", lambda this, context: Blind(this, context))
     results = self_test.run(any_device)
     assert not any(result.ok for result in results)
     assert "checksum" in results[0].text

@@ -97,7 +97,9 @@ def test_recorded_frames(any_device: str) -> None:
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("names", ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"])
+@pytest.mark.parametrize(
+    "names", ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered", "uniform_grid/dda"]
+)
 @pytest.mark.parametrize("threads", [2, 3, 4, 8])
 def test_wherever_the_image_is_cut(names: str, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bands need rows of each other. A bound without room for more makes cuts in the middle of rows."""

@@ -49,7 +49,7 @@ class ClosestHits:
         asked.rays, asked.seen, asked.count, asked.image = self._view.rays, self._view.seen(), count, self._image
         asked.slack, asked.nodes, asked.counters = self._slack, self._nodes, self._counters
         wp.launch(measure_slack, dim=count, inputs=[asked.rays, asked.seen, self._slack], device=device)
-        walker.walk.launch(CLOSEST, pixels, walker.structure, asked, device)
+        walker.build.walk.launch(CLOSEST, pixels, walker.structure(), asked, device)
         nodes = int(self._nodes.numpy().sum())
         return seen_on(self._image, pixels, {**counted(self._counters), "nodes": nodes})
 

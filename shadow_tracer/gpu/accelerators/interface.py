@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
-from weakref import WeakValueDictionary
 
+from shadow_tracer.gpu.device.shared import Shared
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
@@ -16,32 +15,6 @@ from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility.answers import Answers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, AnyHit, Mask, Query
-
-_Kind = TypeVar("_Kind")
-
-
-class Shared:
-    """What accelerators make of a light beside its records, once for all that work on the scene: one of a kind, which
-    lives as long as an accelerator holds it."""
-
-    def __init__(self) -> None:
-        self._made: WeakValueDictionary[type[Any], Any] = WeakValueDictionary()
-
-    def take(self, kind: type[_Kind], make: Callable[[], _Kind]) -> _Kind:
-        """The one of its kind, made when nobody has it."""
-        made = self._made.get(kind)
-        if made is None:
-            self._made[kind] = made = make()
-        found: _Kind = made
-        return found
-
-    def find(self, kind: type[_Kind]) -> _Kind | None:
-        """The one of its kind, None if nobody has it."""
-        return self._made.get(kind)
-
-    def nbytes(self) -> int:
-        """Bytes on the device."""
-        return sum(made.nbytes() for made in self._made.values())
 
 
 @dataclass(frozen=True)
@@ -144,6 +117,9 @@ class Accelerator:
     def follow(self) -> None:
         """Make or mend what depends on the occluders alone, for revisions that it was not made for; called once per
         frame before any light."""
+
+    def forget(self) -> None:
+        """What depends on the occluders alone is to be made again, whatever is there."""
 
     def aim(self, lights: Sequence[LightFrame]) -> None:
         """Make what depends on occluders and lights, unless it is there. Called before ``show``, and once for all that

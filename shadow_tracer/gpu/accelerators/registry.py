@@ -19,8 +19,9 @@ class PipelineEntry:
 
     Attributes:
         summary: one line of explanation.
-        classes: ``module:class`` below ``shadow_tracer.gpu.accelerators`` of each variant, the default variant first;
-            made with the variant and a ``Context``. None where the engine chooses among the other pipelines.
+        classes: ``module:class`` below ``shadow_tracer.gpu.accelerators`` of each variant, the default variant first:
+            an accelerator, made with the variant and a ``Context``, or the build of a walker. None where the engine
+            chooses among the other pipelines.
         side_by_side: variants of which several may work at once, each on separate rays.
     """
 
@@ -65,14 +66,17 @@ REGISTRY: dict[str, PipelineEntry] = {
     "mesh_bvh": PipelineEntry(
         "bounding volume hierarchy over the triangles, refitted while only positions change",
         dict.fromkeys(("refit", "rebuild", "binary"), _BVH),
+        ("refit", "rebuild", "binary"),
     ),
     "uniform_grid": PipelineEntry(
         "a grid of equal cells over the triangles, rays step from cell to cell",
         {"dda": "uniform_grid.uniform_grid:UniformGrid"},
+        ("dda",),
     ),
     "hierarchical_grid": PipelineEntry(
         "a grid over the triangles whose dense cells hold grids, rays step from cell to cell",
         {"nested": "hierarchical_grid.hierarchical_grid:HierarchicalGrid"},
+        ("nested",),
     ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
@@ -116,6 +120,8 @@ def make_pipeline(name: str, variant: str, context: Context) -> Accelerator:
     where = REGISTRY[name].classes[variant]
     assert where is not None, f"{name} is no separate pipeline"
     module, _, kind = where.partition(":")
+    walkers: Any = import_module("shadow_tracer.gpu.accelerators.walker")
     made: Any = getattr(import_module(f"shadow_tracer.gpu.accelerators.{module}"), kind)
-    pipeline: Accelerator = made(variant, context)
+    walks = issubclass(made, walkers.Build)
+    pipeline: Accelerator = walkers.walker(made, variant, context) if walks else made(variant, context)
     return pipeline

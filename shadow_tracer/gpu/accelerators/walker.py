@@ -14,10 +14,12 @@ from typing import Any
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays, Traits
 from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.changes import Revision
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, Query
 
 _BLOCK = 256  # rays of a task in the wide form
@@ -84,44 +86,93 @@ class Walk:
         wp.launch(self._kernels[query.name, wide], dim=-(-count // block), inputs=inputs, device=device)
 
 
-class Walker(Accelerator):
-    """An accelerator that is a structure and a walk.
+class Build:
+    """What rays walk through and what makes it: of the scene alone, once for all sets of samples.
+
+    Args:
+        variant: of the pipeline.
+        scene: the world, whose ``bounds`` say how much there may be.
 
     Attributes:
         walk: how rays go through the structure.
-        structure: what it walks through, None if there is nothing; made by ``build``.
+        queries: what the pipeline is asked; a walk may be able to answer more.
+        structure: what they walk through, None if there is nothing; made by ``build``.
     """
 
     walk: Walk
+    queries: tuple[Query, ...] = (ANY_HIT,)
     structure: Any = None
 
-    def __init__(self, context: Context) -> None:
-        self._context = context
+    def __init__(self, variant: str, scene: SceneBuffers) -> None:
+        self._scene = scene
         self._made_for: Revision | None = None
 
     def build(self) -> Any:
         """The structure over the triangles of the scene, of which there are some."""
         raise NotImplementedError
 
-    def follow(self) -> None:
+    def follow(self, stages: Stages) -> None:
         """Build the structure if the scene is not the one that it was made for."""
-        scene = self._context.scene
-        if self._made_for == scene.revision:
+        if self._made_for == self._scene.revision:
             return
         self.structure = None
-        if scene.triangle_count:
-            with self._context.stages.stage("build"):
+        if self._scene.triangle_count:
+            with stages.stage("build"):
                 self.structure = self.build()
-        self._made_for = scene.revision  # last: what could not be made is made again
+        self._made_for = self._scene.revision  # last: what could not be made is made again
+
+    def forget(self) -> None:
+        """Whatever is there is to be made again."""
+        self._made_for = None
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return 0
+
+    def walker(self, context: Context) -> Walker:
+        """An accelerator that sends rays through it."""
+        return Walker(self, context)
+
+
+class Walker(Accelerator):
+    """An accelerator that is a structure and a walk.
+
+    Args:
+        build: the structure, which others may walk through as well.
+    """
+
+    def __init__(self, build: Build, context: Context) -> None:
+        self.build = build
+        self.traits = Traits(queries=build.queries)
+        self._context = context
+
+    def follow(self) -> None:
+        """Build the structure if the scene is not the one that it was made for."""
+        self.build.follow(self._context.stages)
+
+    def forget(self) -> None:
+        """Build the structure again."""
+        self.build.forget()
 
     def aim(self, lights: Sequence[LightFrame]) -> None:
         """Records of the light."""
         with self._context.stages.stage("setup"):
             self._context.records.prepare(lights[0])
 
+    def structure(self) -> Any:
+        """What its rays walk through."""
+        return self.build.structure
+
     def show(self, rays: Rays, query: Query) -> None:
         """Send the rays of the light, or bundles of them, through the structure."""
-        context, samples = self._context, self._context.samples
+        context, samples, build = self._context, self._context.samples, self.build
         asked = context.any_hit(rays) if query is ANY_HIT else rays.mask
         with context.stages.stage("trace"):
-            self.walk.launch(query, samples.count, self.structure, asked, samples.device)
+            build.walk.launch(query, samples.count, self.structure(), asked, samples.device)
+
+
+def walker(kind: type[Build], variant: str, context: Context) -> Walker:
+    """A walker through the structure that ``kind`` builds, which all sets of samples of a scene share."""
+    scene = context.scene
+    build = scene.made.take((kind, variant), lambda: kind(variant, scene))
+    return build.walker(context)

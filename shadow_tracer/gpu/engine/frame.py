@@ -122,6 +122,8 @@ class FrameTracer:
         """Make everything again in the next frame."""
         self._samples.make_again()
         self._context.records.forget()
+        for band in self._all_bands():
+            band.pipeline.forget()
 
     @property
     def pipelines(self) -> frozenset[str]:

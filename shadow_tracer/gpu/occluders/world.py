@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.device.shared import Shared
 from shadow_tracer.gpu.device.transfers import Uploads
 from shadow_tracer.gpu.exact.records import GAP_VERTEX
 from shadow_tracer.gpu.occluders.changes import Changed, History, Revision
@@ -105,13 +106,15 @@ class SceneBuffers:
         ordered: whether meshes always lie end to end in their order, for those to whom triangles' numbers matter.
 
     Attributes:
+        made: what is made of the scene alone, once for all that ask about it.
         triangle_count, vertex_count: what is looked at: those of meshes and of the gaps between them.
         live_triangles: those of meshes alone.
     """
 
     def __init__(self, bounds: Bounds, device: Any, upload: Uploads | None = None, ordered: bool = False) -> None:
-        self.device = device
+        self.bounds, self.device = bounds, device
         self.upload = upload or Uploads(device)
+        self.made = Shared()
         vertices = GAP_VERTEX + 1 + 3 * bounds.max_triangles
         # The CPU reads them where the meshes have them.
         self.local = wp.empty(0 if forms.wide(device) else vertices, dtype=wp.vec3d, device=device)
@@ -219,8 +222,9 @@ class SceneBuffers:
         return len(self._parts)
 
     def nbytes(self) -> int:
-        """Bytes reserved on the device."""
-        return int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
+        """Bytes reserved on the device, and by what is made of the scene."""
+        own = int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
+        return own + self.made.nbytes()
 
     def _sync_part(self, mesh: Mesh, first_vertex: int, first_triangle: int) -> tuple[_Part, bool, bool]:
         """Copy what changed of a mesh; returns whether its triangles, and its vertices, were there."""

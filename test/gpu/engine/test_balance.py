@@ -148,7 +148,9 @@ def test_a_band_without_pixels_gets_some_again() -> None:
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("names", ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"])
+@pytest.mark.parametrize(
+    "names", ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered", "mesh_bvh/refit"]
+)
 def test_moving_cuts_change_no_bit(names: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every frame is cut elsewhere, at one side of the image or the other."""
     tracer = ShadowTracer(*names.split("/"), device="cpu", bounds=_BOUNDS, threads=2)
@@ -195,5 +197,5 @@ def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
     engine: Any = tracer._engine.inside
     assert set(engine._balances) == {names for names, bands in engine._bands_of.items() if len(bands) == 2}
     assert len({id(balance) for balance in engine._balances.values()}) == len(engine._balances) >= 2
-    single = ShadowTracer("mesh_bvh", device="cpu", bounds=_BOUNDS, threads=2)
+    single = ShadowTracer("light_grid", "spherical", device="cpu", bounds=_BOUNDS, threads=2)
     assert single._engine.inside._balances == {}

@@ -18,7 +18,7 @@ from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.engine import band
 from shadow_tracer.gpu.engine.bands import image_bands
 
-_SIDE_BY_SIDE = ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"]
+_SIDE_BY_SIDE = ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered", "mesh_bvh/refit"]
 _BOUNDS = Bounds(max_triangles=2000, max_rays=131072, max_lights=2, queue_capacity=4096, grid_entries=8192)
 _CAMERA = Camera(256, 128, 128.0, 128.0, 127.5, 63.5)
 _LIGHTS = [PointLight("left", (-0.5, 0.0, 0.0)), PointLight("right", (0.5, 0.1, 0.0))]

@@ -21,6 +21,7 @@ from shadow_tracer.gpu.occluders import seen as seen_triangles
 _SIZE = 256
 _COUNT = _SIZE * _SIZE
 _VARIANTS = [("light_grid", "packed"), ("cone_hierarchy", "linear"), ("brute_force", "filtered")]
+_WALKERS = [("mesh_bvh", "refit"), ("mesh_bvh", "binary"), ("uniform_grid", "dda"), ("hierarchical_grid", "nested")]
 _BOUNDS = Bounds(max_triangles=8192, max_rays=_COUNT, max_lights=8, queue_capacity=65536, grid_entries=65536)
 
 
@@ -49,7 +50,7 @@ def bands(made: ShadowTracer) -> list[band.Band]:
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("names", _VARIANTS, ids="/".join)
+@pytest.mark.parametrize("names", [*_VARIANTS, *_WALKERS], ids="/".join)
 @pytest.mark.parametrize("threads", [2, 3])
 def test_every_number_of_threads_gives_the_same_bits(names: tuple[str, str], threads: int) -> None:
     seen = view()
@@ -174,7 +175,12 @@ def test_pipelines_change_and_verify_works_beside_bands() -> None:
     seen, made = view(), tracer(("light_grid", "packed"), 2)
     expected = states(made, seen)
     assert made.verify(seen.depth, seen.camera, list(seen.lights), bias=seen.bias) == 0
-    for names, count in ((("mesh_bvh", "refit"), 1), (("cone_hierarchy", "linear"), 2), (("light_grid", "packed"), 2)):
+    for names, count in (
+        (("light_grid", "spherical"), 1),
+        (("mesh_bvh", "refit"), 2),
+        (("cone_hierarchy", "linear"), 2),
+        (("light_grid", "packed"), 2),
+    ):
         made.select(*names)
         assert len(bands(made)) == count
         assert np.array_equal(states(made, seen), expected)

@@ -13,11 +13,13 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.interface import Context, Rays
-from shadow_tracer.gpu.accelerators.walker import Walk, Walker
+from shadow_tracer.gpu.accelerators.walker import Build, Walk, Walker
 from shadow_tracer.gpu.device.counters import EXACT, RETESTED
+from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.exact.decision import decide, is_ray
 from shadow_tracer.gpu.exact.determinant import determinant_sign
 from shadow_tracer.gpu.exact.light_frame import SHADOWED
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST, Query
 
 
@@ -64,26 +66,31 @@ def test_all_float64(
     wp.atomic_add(counters, i & 63, EXACT, wp.int64(exact))
 
 
-class BruteForce(Walker):
+class BruteForce(Build):
     """The ``brute_force`` pipeline."""
 
     walk = Walk("accelerators/brute_force/every_triangle.h", Structure, lanes=16, queries=(ANY_HIT, CLOSEST))
 
-    def __init__(self, variant: str, context: Context) -> None:
-        super().__init__(context)
+    def __init__(self, variant: str, scene: SceneBuffers) -> None:
+        super().__init__(variant, scene)
         self._exact = variant == "float64"
         self.structure = Structure()
 
-    def follow(self) -> None:
+    def follow(self, stages: Stages) -> None:
         """Nothing is made of the scene."""
+
+    def walker(self, context: Context) -> Walker:
+        """Variant ``float64`` has no filter."""
+        return Exact(self, context) if self._exact else super().walker(context)
+
+
+class Exact(Walker):
+    """Asks the exact decision for every pair."""
 
     def show(self, rays: Rays, query: Query) -> None:
         """Show every ray of the light every triangle."""
-        if not self._exact:
-            super().show(rays, query)
-            return
-        buffers, scene, records = self._context.samples, self._context.scene, self._context.records
-        inputs = [rays.light.light, int(records.front_face_culling), scene.triangle_count, buffers.positions]
-        inputs += [scene.vertices, scene.triangles, buffers.rays, buffers.states_of(rays.first), buffers.counters]
+        samples, scene, records = self._context.samples, self._context.scene, self._context.records
+        inputs = [rays.light.light, int(records.front_face_culling), scene.triangle_count, samples.positions]
+        inputs += [scene.vertices, scene.triangles, samples.rays, samples.states_of(rays.first), samples.counters]
         with self._context.stages.stage("trace"):
-            wp.launch(test_all_float64, dim=buffers.count, inputs=inputs, device=buffers.device)
+            wp.launch(test_all_float64, dim=samples.count, inputs=inputs, device=samples.device)

@@ -54,9 +54,9 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.cells import LEVELS, ROWS, cells_along, count_memberships
 from shadow_tracer.gpu.accelerators.hierarchical_grid import nesting
 from shadow_tracer.gpu.accelerators.hierarchical_grid.nesting import DEPTHS, LEAVES, STEPS, Grid, Plan, Structure
-from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.segment import scene_box, triangle_boxes
-from shadow_tracer.gpu.accelerators.walker import Walk, Walker
+from shadow_tracer.gpu.accelerators.walker import Build, Walk
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 
 _OUTER_CELLS_PER_TRIANGLE = 2  # in the grid of the scene
 _CELLS_PER_TRIANGLE = 8  # in all grids
@@ -65,14 +65,14 @@ _TRIANGLES_PER_GRID = 4
 _FEWEST = 64  # cells and grids that a small scene may have
 
 
-class HierarchicalGrid(Walker):
+class HierarchicalGrid(Build):
     """The ``hierarchical_grid`` pipeline."""
 
     walk = Walk("accelerators/hierarchical_grid/nested_cells.h", Structure)
 
-    def __init__(self, variant: str, context: Context) -> None:
-        super().__init__(context)
-        bounds, device = context.samples.bounds, context.samples.device
+    def __init__(self, variant: str, scene: SceneBuffers) -> None:
+        super().__init__(variant, scene)
+        bounds, device = scene.bounds, scene.device
         triangles = bounds.max_triangles
         self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
         self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
@@ -100,7 +100,7 @@ class HierarchicalGrid(Walker):
 
     def build(self) -> Structure:
         """Make the grids, and sort the triangles into their cells."""
-        scene, device, tree = self._context.scene, self._context.samples.device, self._tree
+        scene, device, tree = self._scene, self._scene.device, self._tree
         count = scene.triangle_count
         tree.box = scene_box(*scene.box())
         room, boxes = self._cells_for(count), [self._lowers, self._uppers]
@@ -125,7 +125,7 @@ class HierarchicalGrid(Walker):
 
     def _nest(self, depth: int, count: int, room: int) -> None:
         """Make the grids at a depth, in cells of those above it."""
-        device, plan, tree = self._context.samples.device, self._plan, self._tree
+        device, plan, tree = self._scene.device, self._plan, self._tree
         for sums in (plan.needed, plan.cells, plan.grids, plan.dense):
             sums.zero_()
         wp.launch(nesting.find_dense, dim=room, inputs=[depth, self._begins, plan, tree], device=device)

@@ -32,9 +32,9 @@ from shadow_tracer.gpu.accelerators.cells import (
     level_that_fits,
     shape_of,
 )
-from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.segment import SceneBox, scene_box, triangle_boxes
-from shadow_tracer.gpu.accelerators.walker import Walk, Walker
+from shadow_tracer.gpu.accelerators.walker import Build, Walk
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
 
 _CELLS_PER_TRIANGLE = 2
@@ -83,14 +83,14 @@ def enter_cells(
                     members[at] = i
 
 
-class UniformGrid(Walker):
+class UniformGrid(Build):
     """The ``uniform_grid`` pipeline."""
 
     walk = Walk("accelerators/uniform_grid/cells.h", Structure, queries=(ANY_HIT, CLOSEST))
 
-    def __init__(self, variant: str, context: Context) -> None:
-        super().__init__(context)
-        bounds, device = context.samples.bounds, context.samples.device
+    def __init__(self, variant: str, scene: SceneBuffers) -> None:
+        super().__init__(variant, scene)
+        bounds, device = scene.bounds, scene.device
         triangles = bounds.max_triangles
         self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
         self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
@@ -105,7 +105,7 @@ class UniformGrid(Walker):
 
     def build(self) -> Structure:
         """Sort the triangles into cells."""
-        scene, device, grid = self._context.scene, self._context.samples.device, self._grid
+        scene, device, grid = self._scene, self._scene.device, self._grid
         count = scene.triangle_count
         grid.box = scene_box(*scene.box())
         along = cells_along(np.array(grid.box.half), min(_CELLS_PER_TRIANGLE * count, self._most_cells))
