@@ -161,6 +161,11 @@ def kept(tracer: ShadowTracer, samples: str) -> tuple[Any, list[tuple[int, int]]
     return inside._anchor, [(band.samples.first, band.samples.count) for band in inside._bands]
 
 
+def forget(tracer: ShadowTracer, samples: str) -> None:
+    """Have everything made again in the next frame of a set of samples."""
+    tracer._engine.forget(samples)
+
+
 def forget_anchor(tracer: ShadowTracer) -> None:
     """The anchor of an earlier frame, which serves again where it can, is not used."""
     inside: Any = tracer._engine.inside

@@ -121,7 +121,7 @@ def test_what_rays_walk_through_is_built_once(pipeline: str, any_device: str) ->
         for each in (tracer, alone):
             each.scene.put("ball", *geometry.icosphere(2, 0.6, (0.1 * step, 0.0, 2.0)))
         assert [built(name) for name in ("left", "right", "left")] == [True, False, False]
-    tracer._engine.forget("right")
+    probe.forget(tracer, "right")
     assert [built("left"), built("right")] == [True, False]
 
 

@@ -48,7 +48,7 @@ __all__ = [
 
 _BUFFER = "device buffers of this size are allocated once, at start; restart the node to change it"
 _DEVICE = "buffers and kernels live on one device from the start; restart the node to change it"
-_THREADS = "buffers are cut into as many shares at the start; restart the node to change it"
+_THREADS = "buffers are cut into as many bands at the start; restart the node to change it"
 _FRAME = re.compile(r"(?!/)\S+|")
 _DEVICE_NAME = re.compile(r"auto|cpu|cuda:\d+")
 _LIGHT_NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")
