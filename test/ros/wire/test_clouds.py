@@ -158,7 +158,7 @@ def test_three_points_are_a_triangle() -> None:
     part = the_part(soup_part(cloud(points), {}, 4))
     np.testing.assert_array_equal(part.vertices, points)
     assert part.triangles is soup_triangles(4)
-    assert (part.key, part.samples, part.stamp, part.locked) == ("cloud", "lidar", 12_000_000_034, False)
+    assert (part.key, part.frame, part.stamp, part.locked) == ("cloud", "lidar", 12_000_000_034, False)
     assert part.field == "header.frame_id of mesh_cloud" and part.expires is None
     for values in (part.vertices, part.triangles):
         assert values.flags.owndata and not values.flags.writeable
@@ -373,7 +373,7 @@ def test_messages_of_ros_go_in_and_come_out(big: bool) -> None:
     message = deserialize_message(serialize_message(message), PointCloud2)
     np.testing.assert_array_equal(cloud_points(message), points)
     part = the_part(soup_part(message, {}, 2))
-    assert (part.samples, part.stamp) == ("map", 5_000_000_006)
+    assert (part.frame, part.stamp) == ("map", 5_000_000_006)
     sent = visibility_cloud(message, points, np.arange(6, dtype=np.uint32), np.ones(6, bool))
     answer = deserialize_message(serialize_message(sent), PointCloud2)
     assert answer == sent and answer.header == message.header and answer.is_dense is True
