@@ -249,7 +249,7 @@ def test_verify_counts_visibilities(any_device: str) -> None:
     tracer.scene.put("scene", *_scene())
     frame = tracer.trace(_depth(), _CAMERA, _LIGHTS, _BIAS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS, _BIAS) == 0
-    reached, samples = frame._reached["lamp"]
+    reached, samples = probe.reached(frame, "lamp")
     darker = np.argwhere((reached > 1) & (reached < samples))[:6]
     reached[tuple(darker.T)] -= 1
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS, _BIAS) == len(darker) == 6
