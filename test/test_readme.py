@@ -117,6 +117,18 @@ def test_the_readme_is_short() -> None:
     assert len(lines) == 12, "it says twelve lines"
     ros = section(README, "## Six lines of ROS").split("```")[1]
     assert len(ros.strip().splitlines()) == 6, "it says six lines"
+    bullets = re.findall(r"^- \*\*(\w+)", section(README, "## Why this one"), re.MULTILINE)
+    assert bullets == ["Exact", "Dynamic", "Honest"]
+
+
+def test_the_readme_counts_the_lines_of_the_page_on_testing() -> None:
+    code = blocks(DOCS / "testing.md", "python test")
+    assert len(code) == 1
+    assert len([line for line in code[0].splitlines() if line.strip()]) == 20, "it says twenty lines"
+
+
+def test_the_glossary_is_short() -> None:
+    assert 12 <= len(rows(section(ROOT / "CONTRIBUTING.md", "## Words"))) <= 20
 
 
 @pytest.mark.ros

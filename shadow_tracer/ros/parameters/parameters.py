@@ -136,7 +136,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               "so.", "1/m", 0.0, 0.1),
     Parameter("bias.normal", DOUBLE, 0.6,
               "Samples are first moved by this many times the bias along the normal of their surface, where the depth "
-              "image shows one: against speckles in grazing light.", low=0.0, high=2.0),
+              "image shows one or a query gives it: against speckles in grazing light.", low=0.0, high=2.0),
     Parameter("front_face_culling", BOOL, False,
               "Triangles whose front (corners counter-clockwise) faces the light cast nothing, their backs do. Only "
               "for closed meshes with outward fronts, and with a bias of nearly zero."),

@@ -38,7 +38,7 @@ class Lighting:
         self._sun = Sun()
 
     def move(self, name: str, pose: LightPose) -> None:
-        """A light was given a pose; it holds until the next one or until its parameters are set anew."""
+        """A light was given a pose; it holds until the next one or until its parameters are set again."""
         self._poses[name] = pose
 
     def moved(self) -> tuple[str, ...]:

@@ -210,7 +210,7 @@ class MeshStore:
         try:
             pose = _product(places.frame_to_world(frame, part.field, part.stamp or None), part.pose)
         except Missing as missing:
-            hint = "if that time is long past, publish it anew, or call ~/clear_meshes"
+            hint = "if that time is long past, publish it again, or call ~/clear_meshes"
             raise Missing(missing.status, f"{missing.text}; {hint}", missing.wait, missing.level) from missing
         self._fixed[part.key] = (part, places.world, pose)
         return pose
