@@ -124,7 +124,7 @@ def test_edges_and_planes_within_roundings_of_rays(any_device: str, names: str) 
     for each in (tracer, oracle):
         each.scene.put("mesh", *mesh)
     for bias in (0.0, 0.3):
-        counts = [probe.trace_points(each, points, [sphere], bias).reached[0] for each in (tracer, oracle)]
+        counts = [probe.trace_points(each, points, [sphere], bias).reaching[0].counts for each in (tracer, oracle)]
         assert np.array_equal(*counts), bias
         assert 0.02 < counts[0].mean() / 64 < 0.98
 
