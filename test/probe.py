@@ -184,9 +184,9 @@ def states(frame: Frame) -> Any:
     return found
 
 
-def reached(frame: Frame, light: str) -> tuple[Any, int]:
-    """(H, W) how many points of a sphere light reach each pixel, which is the frame's, and how many it has."""
-    return frame._reached[light]
+def light_bits(frame: Frame, light: str) -> Any:
+    """(H, W) which points of a light with size reach each pixel: the frame's own array."""
+    return frame._reaching[light].bits
 
 
 def depth_traces(monkeypatch: pytest.MonkeyPatch) -> list[str]:
