@@ -10,6 +10,7 @@ from weakref import WeakValueDictionary
 
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.exact.faces import Occluders
+from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.passes import Pass
@@ -106,6 +107,9 @@ class Accelerator:
 
     traits = Traits()
 
+    def __init__(self, context: Context) -> None:
+        self._context = context
+
     def follow(self) -> None:
         """Make or mend what depends on the occluders alone, for revisions that it was not made for; called once per
         frame before any light."""
@@ -127,6 +131,10 @@ class Accelerator:
     def show_points(self, asked: Mask) -> None:
         """Show samples every triangle that could be between them and any of some points of a light."""
         raise NotImplementedError
+
+    def silent(self, light: LightFrame) -> tuple[int, int]:
+        """Triangles that cast nothing for a light of the frame: degenerate ones, and those culled."""
+        return self._context.records.silent(light.number)
 
     def learn(self, counters: dict[str, int]) -> None:
         """The counters of the frame that just ended; may change how, never what, it shows."""

@@ -96,7 +96,7 @@ class Walker(Accelerator):
     structure: Any = None
 
     def __init__(self, context: Context) -> None:
-        self._context = context
+        super().__init__(context)
         self._made_for: Revision | None = None
 
     def build(self) -> Any:

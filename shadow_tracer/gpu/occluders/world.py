@@ -9,6 +9,7 @@ no gap for a mesh, or gaps are large, all meshes are laid end to end.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,6 +73,23 @@ def transform_blocks(
     transform_block(row0, row1, row2, first, begin, wp.min(begin + _BLOCK, local.shape[0]), local, world)
 
 
+class Some:
+    """Some of the meshes of a scene.
+
+    Args:
+        revision: changes whenever one of them does, or which they are.
+    """
+
+    def __init__(self, meshes: Sequence[Mesh], revision: int) -> None:
+        self._meshes = meshes
+        self.revision = revision
+        self.triangle_count = sum(len(mesh.triangles) for mesh in meshes)
+        self.vertex_count = sum(len(mesh.vertices) for mesh in meshes)
+
+    def __iter__(self) -> Iterator[Mesh]:
+        return iter(self._meshes)
+
+
 @dataclass
 class _Part:
     """Where a mesh lies in the buffers, and which of its revisions is there."""
@@ -83,6 +101,7 @@ class _Part:
     topology: int
     vertices: int
     pose: int
+    mesh: Mesh
     mesh_vertices: FloatArray  # (V, 3) in the mesh's own frame
     mesh_pose: FloatArray
     finite: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)  # box of its vertices, once it is known
@@ -126,7 +145,7 @@ class SceneBuffers:
         self._copied = -1  # revision of the scene
         self._whole = False  # whether what is said here is so
 
-    def sync(self, scene: Scene) -> None:
+    def sync(self, scene: Scene | Some) -> None:
         """Copy what changed in ``scene`` since the last call; all of it after a call that raised."""
         if self._whole and scene.revision == self._copied:
             return
@@ -150,7 +169,7 @@ class SceneBuffers:
         self._parts, self.revision = {}, Revision(number, number)
         self.upload(self.vertices, np.full((1, 3), np.nan), GAP_VERTEX)
 
-    def _copy(self, scene: Scene) -> None:
+    def _copy(self, scene: Scene | Some) -> None:
         placed, before = True, self._parts
         parts: dict[str, _Part] = {}
         vertices: list[Range] = []
@@ -175,7 +194,7 @@ class SceneBuffers:
             self._history.add(number, merged([*triangles, *(slot[1] for slot in left)]), merged(vertices))
             self.revision = Revision(number if left or not placed else self.revision.topology, number)
 
-    def _places(self, scene: Scene) -> list[tuple[int, int]]:
+    def _places(self, scene: Scene | Some) -> list[tuple[int, int]]:
         """First vertex and triangle of each mesh: where it is, in a gap, behind the others, or, if that does not do,
         end to end."""
         if self._ordered:
@@ -218,6 +237,15 @@ class SceneBuffers:
         """Number of meshes."""
         return len(self._parts)
 
+    def placed(self) -> list[tuple[Mesh, int, int]]:
+        """Each mesh, as it is there, with its first vertex and its first triangle."""
+        return [(part.mesh, part.first_vertex, part.first_triangle) for part in self._parts.values()]
+
+    @property
+    def copied(self) -> int:
+        """Revision of the scene that is there."""
+        return self._copied
+
     def nbytes(self) -> int:
         """Bytes reserved on the device."""
         return int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
@@ -246,6 +274,7 @@ class SceneBuffers:
             mesh.topology_revision,
             mesh.vertices_revision,
             mesh.pose_revision,
+            mesh,
             mesh.vertices,
             mesh.pose,
             old.finite if old is not None and old.vertices == mesh.vertices_revision else [],
@@ -287,7 +316,7 @@ class SceneBuffers:
         return (low, high) if np.all(low <= high) else (np.zeros(3), np.zeros(3))
 
 
-def _end_to_end(scene: Scene) -> list[tuple[int, int]]:
+def _end_to_end(scene: Scene | Some) -> list[tuple[int, int]]:
     """First vertex and triangle of each mesh if there are no gaps."""
     places = []
     vertices, triangles = GAP_VERTEX + 1, 0
