@@ -71,6 +71,24 @@ class Level:
 
 
 @wp.struct
+class Sweep:
+    """How the sun goes over a chart, see ``sweep.py``."""
+
+    number: int  # of the chart, -1 if none is swept
+    lines: int
+    across: int  # places on a line
+    base: int  # of the heights: the first place of the first line
+    next_line: int  # from there to the next line
+    next: int  # and to the next place
+    by_rows: int  # whether lines are rows
+    mirrored: int  # whether the first line is the last row or column
+    drift: wp.float64  # of the way to the sun from line to line, in places
+    rise: wp.float64  # and in steps
+    per_metre: wp.float64  # of that way, in lines
+    pad: float
+
+
+@wp.struct
 class Structure:
     """All charts: of each ``CHART_LEVELS`` levels, the last of which that has nodes has one."""
 
@@ -80,6 +98,8 @@ class Structure:
     beside: wp.array(dtype=wp.float64)
     nodes: wp.array(dtype=wp.uint32)
     heights: wp.array(dtype=float)
+    sweep: Sweep
+    bounds: wp.array(dtype=float)
 
 
 @native.func_native("accelerators/height_field/place.h", calls="Placed::height")
@@ -192,6 +212,7 @@ class Charts:
         structure.nodes = wp.empty(16 * self._most_nodes, dtype=wp.uint32, device=device)
         structure.heights = wp.empty(bounds.max_triangles, dtype=float, device=device)
         self.placed: tuple[Placed, ...] = ()
+        self.on_device: list[DeviceChart] = []
         self.others: list[Mesh] = []
         self._found: dict[str, tuple[int, int, Chart | None]] = {}
         self._followed = -1
@@ -206,7 +227,8 @@ class Charts:
         placed = self._place()
         structure = self.structure
         structure.count = len(placed)
-        self._values.write([_on_device(each) for each in placed])
+        self.on_device = [_on_device(each) for each in placed]
+        self._values.write(self.on_device)
         self._levels.write([level for each in placed for level in _levels(each)])
         for number, each in enumerate(placed):
             if each.key not in before:

@@ -7,6 +7,7 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.height_field.charts import Charts, Structure
 from shadow_tracer.gpu.accelerators.height_field.silent import Silent
+from shadow_tracer.gpu.accelerators.height_field.sweep import Sweeps
 from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
 from shadow_tracer.gpu.accelerators.union import Rest
 from shadow_tracer.gpu.accelerators.walker import Walk
@@ -27,6 +28,7 @@ class HeightFields(Accelerator):
         bounds, device = context.frame.bounds, context.frame.device
         self._charts: Charts = context.shared.take(Charts, lambda: Charts(context.records.bounds, context.scene))
         self._silent: Silent = context.shared.take(Silent, lambda: Silent(context.records.bounds, context.scene))
+        self._sweeps: Sweeps = context.shared.take(Sweeps, lambda: Sweeps(context.records.bounds, context.scene))
         self._rest = Rest(context, ("mesh_bvh", "refit"))
         self.walk = _SIXTEEN if forms.wide(device) else _ONE
 
@@ -37,8 +39,12 @@ class HeightFields(Accelerator):
         self._rest.follow(self._charts.others)
 
     def aim(self, work: Pass) -> None:
-        """Records of the meshes."""
+        """Records of the meshes, and the sweep of a sun."""
         self._rest.aim(work)
+        context, charts, sweeps = self._context, self._charts, self._sweeps
+        with context.stages.stage("setup"):
+            sweeps.make(charts, work.light, context.frame.count, context.records.front_face_culling)
+            charts.structure.sweep, charts.structure.bounds = sweeps.sweep, sweeps.bounds
 
     def show(self, work: Pass) -> None:
         """Send the rays of the light through the meshes, and those that are left down the charts."""
