@@ -112,15 +112,18 @@ def _fit(x: FloatArray, y: FloatArray) -> FloatArray | None:
     some = slice(None, None, 1 + rows // _SAMPLES), slice(None, None, 1 + columns // _SAMPLES)
     there = np.isfinite(x[some])
     places = [np.broadcast_to(each, x.shape)[some][there] for each in (across, down)]
-    known = np.stack([*places, np.ones(len(places[0]))], axis=-1)
-    to_plane, _, rank, _ = np.linalg.lstsq(known, np.stack([x[some][there], y[some][there]], axis=-1), rcond=None)
-    if rank < 3:
+    if not there.any():
         return None
-    forward = to_plane[:2].T
+    known, plane = np.stack(places, axis=-1), np.stack([x[some][there], y[some][there]], axis=-1)
+    middle, at = known.mean(axis=0), plane.mean(axis=0)
+    to_plane, _, rank, _ = np.linalg.lstsq(known - middle, plane - at, rcond=None)
+    if rank < 2:
+        return None
+    forward = to_plane.T
     if not abs(np.linalg.det(forward)) > 1e-6 * float(np.linalg.norm(forward)) ** 2:
         return None
     back = np.linalg.inv(forward)
-    found = np.column_stack([back, -back @ to_plane[2]])
+    found = np.column_stack([back, middle - back @ at])
     for part in (some, (slice(None), slice(None))):  # a look at some rules most out
         for k, wanted in enumerate((across, down)):
             off = found[k, 0] * x[part] + (found[k, 1] * y[part] + found[k, 2])

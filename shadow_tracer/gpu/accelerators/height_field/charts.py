@@ -36,6 +36,8 @@ _LONGEST = 2**16
 LEVELS = 9  # of 4^9 quads along an axis
 # What boxes are padded with, in units of the largest row or column, and of the span of heights: 2^-19, 32 roundings.
 PADDING = 2.0**-19
+# How far from their places, in cells, positions may be where something is to be told from heights alone.
+BESIDE = 2.0**-27
 # Outwards, in steps: float32 heights are off by 2^-9 of one, and 2^-14 where they were computed.
 ROUNDED = 2.0**-6
 native.constants(CHART_PADDING=PADDING, CHART_STEPS=STEPS, CHART_LEVELS=LEVELS, CHART_ROUNDED=ROUNDED)

@@ -62,12 +62,9 @@ class HeightFields(Accelerator):
 
     def silent(self, light: LightFrame) -> tuple[int, int]:
         """Of the meshes, as their records say, and of the charts."""
-        degenerate, culled = self._rest.silent(light)
-        for placed in self._charts.placed:
-            ranges = placed.first_triangle, placed.first_triangle + len(placed.mesh.triangles)
-            more = self._silent.count(ranges, light, self._context.records.front_face_culling)
-            degenerate, culled = degenerate + more[0], culled + more[1]
-        return degenerate, culled
+        rest = self._rest.silent(light)
+        ours = self._silent.count(self._charts, light, self._context.records.front_face_culling)
+        return rest[0] + ours[0], rest[1] + ours[1]
 
     def learn(self, counters: dict[str, int]) -> None:
         """Nothing: what the meshes' own tree tests is not told from what charts do."""

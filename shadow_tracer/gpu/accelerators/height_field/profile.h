@@ -1,6 +1,6 @@
 // needs: accelerators/height_field/place.h
 // arguments: Sweep sweep, DeviceChart chart
-// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE
+// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE SWEEP_WEIGHT
 // A ray over the heights of a swept chart, strip by strip between two lines, until a bound says what becomes of it; see
 // sweep.py.
 struct Profile {
@@ -110,8 +110,8 @@ struct Profile {
     inline int look(const DeviceChart& chart, double beside, const wp::vec4d& sample, const wp::vec3d* vertices,
                     const float* bounds) {
         const double dx = sample[0] - chart.center[0], dy = sample[1] - chart.center[1], dz = sample[2] - chart.center[2];
-        if (!(beside <= SWEEP_BESIDE)
-            || !(chart.weight * (fabs(dx) + fabs(dy) + fabs(dz)) + chart.weight_constant <= 64.0))
+        const double weight = chart.weight * (fabs(dx) + fabs(dy) + fabs(dz)) + chart.weight_constant;
+        if (!(beside <= SWEEP_BESIDE) || !(weight * (chart.rows + chart.columns) <= SWEEP_WEIGHT))
             return UNDECIDED;
         const Homogeneous q = Homogeneous::of(chart, dx, dy, dz, 1.0);
         const double column = snapped(q.s), row = snapped(q.t);

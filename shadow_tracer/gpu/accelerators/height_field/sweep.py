@@ -8,7 +8,7 @@ import math
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.height_field.charts import Charts, DeviceChart, Sweep
+from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Sweep
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.world import SceneBuffers
@@ -17,11 +17,11 @@ from shadow_tracer.scene.chart import STEPS
 
 _LANES = wp.constant(16)
 _PAD = 2.0**-6
-_BESIDE = 2.0**-27
 _STEEPEST = 2.0**20
 _STEPS = 64
 _SHARE = 8
-native.constants(SWEEP_PAD=_PAD, SWEEP_STEPS=_STEPS, SWEEP_BESIDE=_BESIDE)
+_WEIGHT = 2.0**22
+native.constants(SWEEP_WEIGHT=_WEIGHT, SWEEP_PAD=_PAD, SWEEP_STEPS=_STEPS, SWEEP_BESIDE=BESIDE)
 
 
 @native.func_native("accelerators/height_field/sweep.h", calls="Sweeper1::bands")
