@@ -8,6 +8,7 @@ from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import BoundsError
 from shadow_tracer.scene.lights import DirectionalLight, PointLight, SphereLight, SpotLight
 from shadow_tracer.scene.mesh import Mesh, Scene
+from shadow_tracer.scene.surface import HeightField
 from shadow_tracer.tracer import Bias, Frame, ShadowTracer, State
 
 __version__ = "0.1.0"
@@ -20,6 +21,7 @@ __all__ = [
     "DepthCamera",
     "DirectionalLight",
     "Frame",
+    "HeightField",
     "Mesh",
     "PointLight",
     "Scene",

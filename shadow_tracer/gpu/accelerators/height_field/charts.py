@@ -10,8 +10,8 @@ outside 0 to 65535, or with D less than ``nearest``, makes it infinite: then all
 
 Nodes. Level 0 has a node for each four by four quads, level l for each four by four nodes of level l - 1, up to one
 node. A node is sixteen pairs of 16 bits: the least and the largest height of the valid positions of each child, rounded
-outwards, by more than what heights are off (``ROUNDED``); (65535, 0) where there is none. So a quad costs four bytes
-and a third of a bit for every ... in nodes, and a position four bytes of height.
+outwards, by more than what heights are off (``ROUNDED``); (65535, 0) where there is none. The children of a node lie
+in one line of the cache.
 """
 
 from __future__ import annotations
@@ -79,6 +79,7 @@ class Sweep:
     number: int  # of the chart, -1 if none is swept
     lines: int
     across: int  # places on a line
+    pitch: int  # of the bounds: from line to line, not a power of two, which caches do not like
     base: int  # of the heights: the first place of the first line
     next_line: int  # from there to the next line
     next: int  # and to the next place

@@ -1,6 +1,6 @@
 // needs: accelerators/height_field/place.h
 // arguments: Sweep sweep, DeviceChart chart
-// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE SWEEP_WEIGHT
+// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE SWEEP_WEIGHT SWEEP_BIASES
 // A ray over the heights of a swept chart, strip by strip between two lines, until a bound says what becomes of it; see
 // sweep.py.
 struct Profile {
@@ -9,11 +9,13 @@ struct Profile {
     const float* heights;
     double x, y, v; // where the ray is: along the lines' way, height, across
     double from;    // where along the way it begins to matter
+    double beyond;  // and where the rounding of the bias does not matter any more
     bool clear;     // it has met nothing so far
     int side;       // 1: it has been above the surface, -1: below it, where it mattered
+    int strips;     // that it has crossed
 
     inline Profile(const Sweep& sweep, const wp::array_t<float>& heights)
-        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), clear(true), side(0) {}
+        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), beyond(0.0), clear(true), side(0), strips(0) {}
     inline double at(int line, int place) const {
         return heights[sweep.base + (int64_t)line * sweep.next_line + (int64_t)place * sweep.next];
     }
@@ -58,16 +60,16 @@ struct Profile {
         const int place = (int)floor(v - sweep.drift * x) - (int)floor(-(sweep.drift * line));
         if (place < 0 || place >= sweep.across)
             return UNDECIDED;
-        const size_t plane = (size_t)sweep.lines * sweep.across;
-        const float* here = bounds + (size_t)line * sweep.across + place;
+        const size_t plane = (size_t)sweep.lines * sweep.pitch;
+        const float* here = bounds + (size_t)line * sweep.pitch + place;
         const double level = y - sweep.rise * line;
         if (clear && level > here[0] + sweep.pad)
             return LIT;
-        if (side > 0 && level < here[plane] - sweep.pad)
-            return HIDDEN;
-        if (side < 0 && level > here[2 * plane] + sweep.pad)
-            return HIDDEN;
-        return UNDECIDED;
+        if (line < beyond)
+            return UNDECIDED;
+        const bool over = side > 0 && level < here[plane] - sweep.pad;
+        const bool under = side < 0 && level > here[2 * plane] + sweep.pad;
+        return over || under ? HIDDEN : UNDECIDED;
     }
     // To the next line; false if it is known what becomes of the ray.
     inline bool step(int line, int& found) {
@@ -78,7 +80,7 @@ struct Profile {
                 --place;
             if (place < 0 || place >= sweep.across - 1) {
                 // It leaves the surface, unless it goes along the border.
-                found = clear && fabs(sweep.drift) >= 0.125 ? LIT : UNDECIDED;
+                found = clear && fabs(sweep.drift) >= 0.5 ? LIT : UNDECIDED;
                 return false;
             }
             const bool over = v1 > place + 1, under = v1 < place;
@@ -119,31 +121,25 @@ struct Profile {
         x = sweep.mirrored ? sweep.lines - 1 - along : along;
         v = sweep.by_rows ? column : row;
         y = q.h;
-        const double bias = sample[3] * sweep.per_metre;
-        if (!(bias <= 1024.0) || !inside())
+        if (!inside())
             return UNDECIDED;
         bool corner = row == floor(row) && column == floor(column);
         if (corner) {
             const wp::vec3d& p = vertices[chart.first_vertex + (int)row * chart.columns + (int)column];
             corner = p[0] == sample[0] && p[1] == sample[1] && p[2] == sample[2];
         }
-        // Triangles at a corner never hide the corner, so its ray may begin there.
-        from = corner && bias > 0.0 ? x + bias + 0x1p-20 : x;
+        const double bias = sample[3] * sweep.per_metre;
+        from = bias > 0.0 ? x + bias + 0x1p-20 : x;
+        beyond = x + SWEEP_BIASES * bias;
+        // Triangles at a corner never hide the corner.
         if (!corner) {
-            x += bias;
-            v += bias * sweep.drift;
-            y += bias * sweep.rise;
-            from = x;
-            if (!inside())
-                return UNDECIDED;
-            int line = (int)floor(x), place = (int)floor(v);
+            int line = (int)floor(x), place = (int)floor(v), found;
             line -= line == sweep.lines - 1;
             place -= place == sweep.across - 1;
-            int found;
             if (!note(y - surface(line, place, x - line, v - place), x, line, v, v, found))
                 return UNDECIDED;
         }
-        for (int turn = 0; turn < SWEEP_STEPS; ++turn) {
+        for (; strips < SWEEP_STEPS; ++strips) {
             const int line = (int)floor(x);
             if (line >= sweep.lines - 1 || (sweep.rise >= 0.0 && side > 0 && y > 65536.0))
                 return clear ? LIT : UNDECIDED;

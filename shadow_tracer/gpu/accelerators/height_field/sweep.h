@@ -28,7 +28,7 @@ struct WIDE(Sweeper) {
         const double beside = 0x1p-20;
         const REAL infinity = (float)HUGE_VAL;
         REAL hides = -infinity, above = -infinity, below = infinity;
-        const size_t plane = (size_t)sweep.lines * sweep.across;
+        const size_t plane = (size_t)sweep.lines * sweep.pitch;
         for (int line = sweep.lines - 1; line >= 0; --line) {
             const int place = band - (int)floor(-(sweep.drift * line));
             if (place >= sweep.across || place + LANES <= 0)
@@ -60,9 +60,9 @@ struct WIDE(Sweeper) {
             }
             above = whole ? larger(least - risen, above) : above;
             below = whole ? smaller(most - risen, below) : below;
-            store(sweep, bounds.data + (size_t)line * sweep.across, place, hides);
-            store(sweep, bounds.data + plane + (size_t)line * sweep.across, place, above);
-            store(sweep, bounds.data + 2 * plane + (size_t)line * sweep.across, place, below);
+            store(sweep, bounds.data + (size_t)line * sweep.pitch, place, hides);
+            store(sweep, bounds.data + plane + (size_t)line * sweep.pitch, place, above);
+            store(sweep, bounds.data + 2 * plane + (size_t)line * sweep.pitch, place, below);
         }
     }
     static inline void store(const Sweep& sweep, float* to, int place, REAL values) {

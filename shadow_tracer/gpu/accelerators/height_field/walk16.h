@@ -68,6 +68,7 @@ struct Walk1 {
                 Profile profile(structure.sweep, structure.heights);
                 const int found = profile.look(chart, beside, query.sample(), query.asked.vertices.data,
                                                structure.bounds.data);
+                query.nodes += profile.strips;
                 if (found == Profile::HIDDEN) {
                     query.hide();
                     return;
