@@ -293,3 +293,17 @@ def _forget(share: Any) -> None:
     hints = getattr(getattr(share.pipeline, "_tree", None), "hints", None)  # of mesh_bvh: what hid each ray last
     if hints is not None:
         hints.zero_()
+
+
+def charts(tracer: ShadowTracer) -> tuple[list[str], int]:
+    """Of ``height_field``: names of the surfaces that have a chart, and the number of the one that the last light has
+    been swept over, -1 if none has."""
+    inside: Any = tracer._engine.inside
+    pipeline = inside._pipeline
+    return [placed.mesh.name for placed in pipeline._charts.placed], int(pipeline._sweeps.sweep.number)
+
+
+def lose_places(tracer: ShadowTracer) -> None:
+    """Let no chart of ``height_field`` know where its positions are, until its surface changes."""
+    inside: Any = tracer._engine.inside
+    inside._pipeline._charts.structure.beside.fill_(1.0e30)
