@@ -71,7 +71,9 @@ def agree(
         found.append((np.array(traced.states), traced.counters, tracing))
     (states, counters, tracing), (expected, theirs, _) = found
     wrong = np.argwhere(states != expected)
-    assert not len(wrong), [(lights[light].name, points[point], int(expected[light, point])) for light, point in wrong[:3]]
+    assert not len(wrong), [
+        (lights[light].name, points[point], int(expected[light, point])) for light, point in wrong[:3]
+    ]
     for name in ("rays", "triangles", "degenerate", "culled"):
         assert counters[name] == theirs[name], name
     return states, counters, tracing

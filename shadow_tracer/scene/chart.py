@@ -76,8 +76,8 @@ def _parallel(points: FloatArray, center: FloatArray, extent: float) -> Chart | 
         rows = np.zeros((4, 4))
         rows[:2, [first, second, 3]] = found
         height = points[..., axis] - center[axis]
-        span = (float(reduce(height, axis=None)) for reduce in _EXTREMES)
-        rows[2], rows[3, 3] = _heights(np.eye(4)[axis], np.eye(4)[3], *span, _LEAST_SPAN * extent), 1.0
+        low, high = (float(reduce(height, axis=None)) for reduce in _EXTREMES)
+        rows[2], rows[3, 3] = _heights(np.eye(4)[axis], np.eye(4)[3], low, high, _LEAST_SPAN * extent), 1.0
         return Chart(rows, 1.0, True, center, extent)
     return None
 

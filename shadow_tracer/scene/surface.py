@@ -132,9 +132,9 @@ class Organised:
             quads = other.reshape(-1)
             triangles[quads, 0] = np.stack([a, c, b], axis=-1)[quads]
             triangles[quads, 1] = np.stack([b, c, d], axis=-1)[quads]
-        triangles = triangles.reshape(-1, 3)
-        triangles.setflags(write=False)
-        return triangles
+        made = triangles.reshape(-1, 3)
+        made.setflags(write=False)
+        return made
 
 
 def organised(positions: Any, valid: Any, known: BoolArray | None = None) -> Organised:

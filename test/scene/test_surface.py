@@ -122,7 +122,10 @@ _NAN[1, 2, 0] = np.nan
         ({"positions": _NAN}, "^positions: expected finite.*at row 1, column 2"),
         ({"positions": 1e51 * np.ones((2, 2, 3))}, "^positions: expected finite.*at row 0, column 0"),
         ({"positions": np.ma.MaskedArray(np.zeros((2, 2, 3)), mask=True)}, "^positions: .*masked"),
-        ({"positions": _grid(3, 3), "valid": np.ones((3, 2), bool)}, r"^valid: expected truth values of shape \(3, 3\)"),
+        (
+            {"positions": _grid(3, 3), "valid": np.ones((3, 2), bool)},
+            r"^valid: expected truth values of shape \(3, 3\)",
+        ),
         ({"positions": _grid(3, 3), "valid": np.ones((3, 3))}, "^valid: expected truth values"),
         ({"positions": _grid(3, 3), "pose": np.zeros((4, 4))}, "^pose: "),
         ({"positions": _grid(9, 9)}, "^bounds.max_triangles: "),
@@ -202,7 +205,9 @@ def test_charts_of_depth_images() -> None:
     places = _places(positions)
     there = ~np.isnan(places[..., 0])
     assert np.abs(places[there][:, 0] - across[there]).max() < 1e-9
-    assert np.allclose(1.0 / depth[there], np.interp(places[there][:, 2], *_line(places[there][:, 2], 1.0 / depth[there])))
+    assert np.allclose(
+        1.0 / depth[there], np.interp(places[there][:, 2], *_line(places[there][:, 2], 1.0 / depth[there]))
+    )
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[list[float], list[float]]:

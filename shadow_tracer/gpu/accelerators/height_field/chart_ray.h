@@ -1,4 +1,4 @@
-// needs: query accelerators/height_field/place.h
+// needs: visibility/in_place.h accelerators/height_field/place.h
 // arguments: DeviceChart chart
 // constants: CHART_PADDING CHART_STEPS
 // A ray in a chart: the segment of it that lies among the heights, in columns, rows and steps; see height_field.py.

@@ -193,7 +193,7 @@ class Placed:
 
 def _shapes(grid: tuple[int, int]) -> tuple[tuple[int, int], ...]:
     rows, columns = grid[0] - 1, grid[1] - 1
-    found = []
+    found: list[tuple[int, int]] = []
     while not found or rows * columns > 1:
         rows, columns = -(-rows // 4), -(-columns // 4)
         found.append((rows, columns))
@@ -288,7 +288,8 @@ class Charts:
 
 
 def _levels(placed: Placed) -> list[Level]:
-    found, first = [], placed.first_node
+    found: list[Level] = []
+    first = placed.first_node
     for rows, columns in (*placed.shapes, *((0, 0),) * (LEVELS - len(placed.shapes))):
         level = Level()
         level.first, level.rows, level.columns = first, rows, columns

@@ -22,8 +22,8 @@ the sample's row and a multiple of the direction's. With D at least ``nearest``,
 
 *Clipping.* The part of a ray that can meet a triangle of the chart satisfies D >= nearest and lies within the rows,
 columns and heights, ``beside`` in hand. Each of these is a linear inequality in the parameter of the ray. They are
-moved outwards by 2^-18 E (and 2^-19 of the least D), which is much more than 2^-29 and what the division rounds: nothing
-of that part is cut off. A ray that never ends in the chart does not exist; one whose end is not finite is ``TOO_FAR``.
+moved outwards by 2^-18 E (and 2^-19 of the least D), which is much more than 2^-29 and what the division rounds: no
+part of that is cut off. A ray that never ends in the chart does not exist; one whose end is not finite is ``TOO_FAR``.
 
 *Down the nodes.* As in ``segment.py`` the segment's begin and span are rounded to float32, within 1 u E and 2 u E; the
 begin is moved by the padding (1 u E), a plane of a box is subtracted from it, and the difference divided, by way of the
@@ -39,8 +39,6 @@ bytes a cell more. No records are made.
 """
 
 from __future__ import annotations
-
-import warp as wp
 
 from shadow_tracer.gpu.accelerators.height_field.charts import Charts, Structure
 from shadow_tracer.gpu.accelerators.height_field.silent import Silent
@@ -62,7 +60,7 @@ class HeightFields(Accelerator):
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
-        bounds, device = context.frame.bounds, context.frame.device
+        device = context.frame.device
         self._charts: Charts = context.shared.take(Charts, lambda: Charts(context.records.bounds, context.scene))
         self._silent: Silent = context.shared.take(Silent, lambda: Silent(context.records.bounds, context.scene))
         self._sweeps: Sweeps = context.shared.take(Sweeps, lambda: Sweeps(context.records.bounds, context.scene))

@@ -18,8 +18,8 @@ struct Placed {
     static inline double height(const DeviceChart& chart, int number, const wp::array_t<wp::vec3d>& vertices,
                                 const wp::array_t<float>& heights) {
         const wp::vec3d& p = vertices.data[chart.first_vertex + number];
-        const Homogeneous at = Homogeneous::of(chart, p[0] - chart.center[0], p[1] - chart.center[1],
-                                               p[2] - chart.center[2], 1.0);
+        const Homogeneous at =
+            Homogeneous::of(chart, p[0] - chart.center[0], p[1] - chart.center[1], p[2] - chart.center[2], 1.0);
         const double h = at.h / at.d;
         heights.data[chart.first_height + number] = (float)h;
         if (!wp::isfinite(p))

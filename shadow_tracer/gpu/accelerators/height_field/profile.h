@@ -15,9 +15,10 @@ struct Profile {
     int strips;     // that it has crossed
 
     inline Profile(const Sweep& sweep, const wp::array_t<float>& heights)
-        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), beyond(0.0), clear(true), side(0), strips(0) {}
+        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), beyond(0.0), clear(true), side(0),
+          strips(0) {}
     inline double at(int line, int place) const {
-        return heights[sweep.base + (int64_t)line * sweep.next_line + (int64_t)place * sweep.next];
+        return heights[sweep.base + (wp::int64)line * sweep.next_line + (wp::int64)place * sweep.next];
     }
     static inline double snapped(double value) {
         const double whole = floor(value + 0.5);
@@ -88,11 +89,12 @@ struct Profile {
             double x2 = over || under ? x + (v2 - v) / sweep.drift : x1;
             x2 = x2 < x1 ? x2 : x1;
             const double X1 = x - line, V1 = v - place, X2 = x2 - line, V2 = v2 - place;
-            const double one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1, two = sweep.mirrored ? V2 - (1.0 - X2) : V2 - X2;
+            const double one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1,
+                         two = sweep.mirrored ? V2 - (1.0 - X2) : V2 - X2;
             if (one * two < 0.0) {
                 const double share = one / (one - two), X = X1 + share * (X2 - X1);
                 const double z = sweep.mirrored ? (1.0 - X) * at(line, place + 1) + X * at(line + 1, place)
-                                              : (1.0 - X) * at(line, place) + X * at(line + 1, place + 1);
+                                                : (1.0 - X) * at(line, place) + X * at(line + 1, place + 1);
                 if (!note(y + sweep.rise * (X - X1) - z, line + X, line, begin, v1, found))
                     return false;
             }
@@ -100,8 +102,9 @@ struct Profile {
             x = x2;
             v = v2;
             const bool end = !(over || under);
-            const double z = end ? (1.0 - V2) * at(line + 1, place) + V2 * at(line + 1, place + 1)
-                                 : (1.0 - X2) * at(line, place + (over ? 1 : 0)) + X2 * at(line + 1, place + (over ? 1 : 0));
+            const double z =
+                end ? (1.0 - V2) * at(line + 1, place) + V2 * at(line + 1, place + 1)
+                    : (1.0 - X2) * at(line, place + (over ? 1 : 0)) + X2 * at(line + 1, place + (over ? 1 : 0));
             if (!note(y - z, x, line, begin, v1, found))
                 return false;
             if (end)
@@ -111,7 +114,8 @@ struct Profile {
     // What becomes of the ray from a sample to the sun.
     inline int look(const DeviceChart& chart, double beside, const wp::vec4d& sample, const wp::vec3d* vertices,
                     const float* bounds) {
-        const double dx = sample[0] - chart.center[0], dy = sample[1] - chart.center[1], dz = sample[2] - chart.center[2];
+        const double dx = sample[0] - chart.center[0], dy = sample[1] - chart.center[1],
+                     dz = sample[2] - chart.center[2];
         const double weight = chart.weight * (fabs(dx) + fabs(dy) + fabs(dz)) + chart.weight_constant;
         if (!(beside <= SWEEP_BESIDE) || !(weight * (chart.rows + chart.columns) <= SWEEP_WEIGHT))
             return UNDECIDED;

@@ -6,13 +6,13 @@ struct SilentRow {
     // Those of a row of quads of a parallel chart whose positions are in their places, for a sun that culls nothing;
     // silent.py says why quads that are sure have none.
     static inline void count(const DeviceChart& chart, int row, const wp::vec4d& light,
-                           const wp::array_t<float>& heights, const wp::array_t<wp::vec3d>& vertices,
-                           const wp::array_t<wp::vec3i>& triangles, int to, const wp::array_t<wp::vec2i>& counts) {
+                             const wp::array_t<float>& heights, const wp::array_t<wp::vec3d>& vertices,
+                             const wp::array_t<wp::vec3i>& triangles, int to, const wp::array_t<wp::vec2i>& counts) {
         const Homogeneous way = Homogeneous::of(chart, light[0], light[1], light[2], 0.0);
         const float s = (float)way.s, t = (float)way.t, h = (float)way.h;
         const float pad = (fabsf(s) + fabsf(t)) * 0x1p-5f + fabsf(h) * 0x1p-20f;
         const int quads = chart.columns - 1;
-        const float* __restrict__ here = heights.data + chart.first_height + (int64_t)row * chart.columns;
+        const float* __restrict__ here = heights.data + chart.first_height + (wp::int64)row * chart.columns;
         const float* __restrict__ next = here + chart.columns;
         for (int first = 0; first < quads; first += CHUNK) {
             const int count = quads - first < CHUNK ? quads - first : CHUNK;

@@ -10,15 +10,16 @@ struct WIDE(Sweeper) {
     static inline float unknown() { return (float)(HUGE_VAL - HUGE_VAL); }
     // Heights on a line, of the positions from `first` on, one each lane; not a number where there is none.
     static inline REAL on_line(const Sweep& sweep, const float* heights, int line, int first) {
-        const float* from = heights + sweep.base + (int64_t)line * sweep.next_line;
+        const float* from = heights + sweep.base + (wp::int64)line * sweep.next_line;
 #if LANES == 1
-        return first >= 0 && first < sweep.across ? from[(int64_t)first * sweep.next] : unknown();
+        return first >= 0 && first < sweep.across ? from[(wp::int64)first * sweep.next] : unknown();
 #else
         if (sweep.next == 1 && first >= 0 && first + LANES <= sweep.across)
             return Lanes::load(from + first);
         float some[LANES];
         for (int j = 0; j < LANES; ++j)
-            some[j] = first + j >= 0 && first + j < sweep.across ? from[(int64_t)(first + j) * sweep.next] : unknown();
+            some[j] =
+                first + j >= 0 && first + j < sweep.across ? from[(wp::int64)(first + j) * sweep.next] : unknown();
         return Lanes::load(some);
 #endif
     }
@@ -36,7 +37,7 @@ struct WIDE(Sweeper) {
             const double here = band + sweep.drift * line, next = band + sweep.drift * (line + 1);
             const float risen = (float)(sweep.rise * line), risen_next = (float)(sweep.rise * (line + 1));
             REAL least = infinity, most = -infinity;
-            MASK whole = ~(least < -infinity) != 0;
+            MASK whole = least == infinity; // as yet in all lanes
             const int first = (int)floor(here - beside), last = (int)ceil(here + 1.0 + beside);
             for (int k = first; k <= last; ++k) {
                 const REAL z = on_line(sweep, heights.data, line, k);

@@ -20,7 +20,7 @@ comes to a line, a row between two quads, or a diagonal: between these the surfa
 ends holds between them. It is *clear* as long as it has been above the surface by more than ``_PAD`` everywhere. What
 is said:
 
-1. *Lit*, if it is clear up to a line and its level is above *hides* there; or clear until it leaves the surface. Nothing
+1. *Lit*, if it is clear up to a line and its level is above *hides* there; or clear until it leaves the surface. None
    of it meets the surface: not before the line, as it is clear, and not after.
 2. *Hidden*, if it is certainly above the surface at one of those places, and certainly below it at a later one, or the
    other way round, with whole quads between: within a strip, or by *above* or *below*. Then it meets the surface in
@@ -41,8 +41,8 @@ A and D are off, as heights, by 2^-50 of lengths, and the point is at least ``_P
 
 A sample that is a position of the surface, to the last bit, touches the triangles around it at their common corner, and
 these never hide it: it is in their planes, which the exact decision finds (A = 0). Such a ray begins at the position,
-and what is compared first is where it leaves these triangles: at the next line, or at a diagonal that does not come from
-there. In whatever direction, that is the first place that is looked at.
+and what is compared first is where it leaves these triangles: at the next line, or at a diagonal that does not come
+from there. In whatever direction, that is the first place that is looked at.
 
 *What is rounded.* Steps, places and lines are computed in float64, each within 6 * 2^-53 times its unit and the weight
 of the ray's terms (``height_field.py``). Where weight times rows and columns is above 2^22 (``_WEIGHT``) nothing is

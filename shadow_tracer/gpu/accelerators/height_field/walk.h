@@ -1,4 +1,4 @@
-// needs: query accelerators/height_field/chart_ray.h accelerators/height_field/boxes.h accelerators/height_field/profile.h
+// needs: visibility/in_place.h accelerators/height_field/chart_ray.h accelerators/height_field/boxes.h accelerators/height_field/profile.h
 // arguments: Structure structure, Sweep structure.sweep, DeviceChart wp::load(structure.charts.data)
 // constants: CHART_LEVELS
 // Down the nodes of each chart, a child at a time and without a stack: the next child is a matter of numbers.
@@ -15,7 +15,8 @@ struct Walk1 {
         int row = ray.flip >> 2, column = ray.flip & 3, turn = 0;
         ++query.nodes;
         for (;;) {
-            const size_t node = (size_t)levels[level].first + (size_t)(row >> 2) * levels[level].columns + (column >> 2);
+            const size_t node =
+                (size_t)levels[level].first + (size_t)(row >> 2) * levels[level].columns + (column >> 2);
             const int size = 1 << 2 * level, child = (row & 3) << 2 | (column & 3);
             const int heights = (int)structure.nodes.data[16 * node + child];
             if (ChartBoxes1::met(ray, (float)(column * size), (float)(row * size), (float)size, heights)) {
@@ -50,8 +51,8 @@ struct Walk1 {
             const double beside = structure.beside.data[number];
             if (number == structure.sweep.number) {
                 Profile profile(structure.sweep, structure.heights);
-                const int found = profile.look(chart, beside, query.sample(), query.asked.vertices.data,
-                                               structure.bounds.data);
+                const int found =
+                    profile.look(chart, beside, query.sample(), query.asked.vertices.data, structure.bounds.data);
                 query.nodes += profile.strips;
                 if (found == Profile::HIDDEN) {
                     query.hide();

@@ -1,5 +1,5 @@
 // cpu
-// needs: query accelerators/height_field/chart_ray.h accelerators/height_field/boxes.h@16 accelerators/height_field/profile.h
+// needs: visibility/in_place.h accelerators/height_field/chart_ray.h accelerators/height_field/boxes.h@16 accelerators/height_field/profile.h
 // arguments: Structure structure, Sweep structure.sweep, DeviceChart wp::load(structure.charts.data)
 // constants: CHART_LEVELS
 // Down the nodes of each chart, all sixteen children of a node in one go of the vector registers.
@@ -66,8 +66,8 @@ struct Walk1 {
             const double beside = structure.beside.data[number];
             if (number == structure.sweep.number) {
                 Profile profile(structure.sweep, structure.heights);
-                const int found = profile.look(chart, beside, query.sample(), query.asked.vertices.data,
-                                               structure.bounds.data);
+                const int found =
+                    profile.look(chart, beside, query.sample(), query.asked.vertices.data, structure.bounds.data);
                 query.nodes += profile.strips;
                 if (found == Profile::HIDDEN) {
                     query.hide();

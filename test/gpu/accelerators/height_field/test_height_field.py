@@ -7,13 +7,14 @@ from __future__ import annotations
 from typing import Any
 
 import data
+import geometry
 import numpy as np
 import probe
 import pytest
 import surfaces
 from surfaces import agree
 
-from shadow_tracer import Camera, DirectionalLight, HeightField, PointLight, Scene, SphereLight, SpotLight
+from shadow_tracer import Camera, DirectionalLight, HeightField, PointLight, Scene, SphereLight, SpotLight, render_depth
 from shadow_tracer.gpu.accelerators.height_field import charts
 
 pytestmark = probe.in_both_forms
@@ -75,7 +76,9 @@ def test_terrain(any_device: str, offset: tuple[float, float, float], cull: bool
     assert probe.charts(tracer)[0] == ["ground"] and 0.1 < (states == 1).mean() < 0.9
 
 
-@pytest.mark.parametrize("pose", [np.eye(4), _pose(2.0, (1, 2, -0.5), (5.0, -3.0, 2.0)), _pose(1.0, (0, 1, 0), (4e5, 5e6, 0))])
+@pytest.mark.parametrize(
+    "pose", [np.eye(4), _pose(2.0, (1, 2, -0.5), (5.0, -3.0, 2.0)), _pose(1.0, (0, 1, 0), (4e5, 5e6, 0))]
+)
 def test_depth_images(any_device: str, pose: np.ndarray) -> None:
     """Lights in front, behind, in the plane of the optical centre and in that."""
     rng = np.random.default_rng(2)
@@ -96,7 +99,9 @@ def test_depth_images(any_device: str, pose: np.ndarray) -> None:
     assert probe.charts(tracer)[0] == ["image"] and 0.1 < (states == 1).mean() < 0.9
 
 
-@pytest.mark.parametrize("shape", [(1, 2), (2, 1), (2, 2), (2, 3), (3, 2), (5, 5), (6, 5), (17, 18), (513, 2), (2, 513)])
+@pytest.mark.parametrize(
+    "shape", [(1, 2), (2, 1), (2, 2), (2, 3), (3, 2), (5, 5), (6, 5), (17, 18), (513, 2), (2, 513)]
+)
 def test_sizes(any_device: str, shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(3)
     field = HeightField(surfaces.terrain(rng, *shape), 1.0)
@@ -121,9 +126,7 @@ def test_quads_with_some_corners(any_device: str, kind: str) -> None:
         positions = HeightField(surfaces.terrain(rng, 12, 12, 0.2), 1.0).positions()
     points = _around(rng, np.where(valid[..., None], positions, np.nan), 700)
     lights = _lights(positions.reshape(-1, 3).mean(axis=0), 5.0)
-    states, _, tracer = agree(
-        any_device, lambda scene: scene.put_surface("atlas", positions, valid), points, lights
-    )
+    states, _, tracer = agree(any_device, lambda scene: scene.put_surface("atlas", positions, valid), points, lights)
     assert len(probe.charts(tracer)[0]) == 1 and (states == 1).any()
 
 
@@ -140,7 +143,7 @@ def test_rays_at_corners_of_boxes(any_device: str, kind: str) -> None:
         positions = np.stack([(across - 16) / 32.0 * depth, (down - 16) / 32.0 * depth, depth], axis=-1)
     tips = positions[spikes]
     shaken = 1e-7 * rng.uniform(-1, 1, tips.shape)
-    for light in (PointLight("lamp", (0.3, 0.7, 20.0)), DirectionalLight("sun", (0.3, -0.7, -0.2))):
+    for light in (PointLight("lamp", (0.25, 0.75, 20.0)), DirectionalLight("sun", (0.25, -0.75, -0.25))):
         away = tips - light.position if isinstance(light, PointLight) else np.broadcast_to(light.direction, tips.shape)
         points = np.concatenate([tips + away * far for far in (0.125, 1.0)] + [tips + shaken + away])
         states, _, _ = agree(any_device, lambda scene: scene.put_surface("spikes", positions), points, [light])
@@ -156,14 +159,25 @@ def test_positions_beside_their_places(any_device: str) -> None:
     tips = positions[4:-4:4, 4:-4:4].reshape(-1, 3)
     towards = np.array([0.01, 0.02, 1.0])
     # A little below the tip, on the side that is beside its place.
-    points = np.concatenate([tips - towards * low + (dx, dy, 0.0) for low in (0.3, 3.0) for dx in (-0.02, 0, 0.02) for dy in (-0.02, 0, 0.02)])
+    points = np.concatenate(
+        [
+            tips - towards * low + (dx, dy, 0.0)
+            for low in (0.3, 3.0)
+            for dx in (-0.02, 0, 0.02)
+            for dy in (-0.02, 0, 0.02)
+        ]
+    )
     states, _, tracer = agree(
         any_device,
         lambda scene: scene.put_surface("ground", positions),
         points,
-        [DirectionalLight("sun", -towards), PointLight("lamp", (16.0, -16.0, 50.0)), DirectionalLight("low", (1, 0, -1e-3))],
+        [
+            DirectionalLight("sun", -towards),
+            PointLight("lamp", (16.0, -16.0, 50.0)),
+            DirectionalLight("low", (1, 0, -1e-3)),
+        ],
     )
-    assert probe.charts(tracer)[0] == ["ground"] and 0.2 < (states == 1).mean() < 0.9
+    assert probe.charts(tracer)[0] == ["ground"] and 0.2 < (states == 1).mean() < 0.999
 
 
 def test_a_flat_surface_and_rays_in_its_plane(any_device: str) -> None:
@@ -188,18 +202,26 @@ def test_rays_along_rows_columns_and_diagonals(any_device: str, kind: str) -> No
         positions = HeightField(z, 1.0).positions()
     else:
         positions = np.stack([(across - 8) / 8.0, (down - 8) / 8.0, np.ones_like(z)], axis=-1) * (1.0 + z)[..., None]
-    points = np.concatenate([positions.reshape(-1, 3), positions.reshape(-1, 3) + (0, 0, 0.25 if kind == "terrain" else -0.25)])
+    points = np.concatenate(
+        [positions.reshape(-1, 3), positions.reshape(-1, 3) + (0, 0, 0.25 if kind == "terrain" else -0.25)]
+    )
     flat = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (1, 1, 0), (1, -1, 0), (-1, 1, 0), (-1, -1, 0)]
     lights: list[Any] = [DirectionalLight(f"sun {k}", way) for k, way in enumerate(flat)]
     # From one position to another: along the rows and columns that they share, through corners of quads.
-    lights += [PointLight(f"lamp {k}", positions[r, c] + (0, 0, 0.5)) for k, (r, c) in enumerate([(0, 0), (7, 7), (15, 3), (4, 0)])]
+    lights += [
+        PointLight(f"lamp {k}", positions[r, c] + (0, 0, 0.5))
+        for k, (r, c) in enumerate([(0, 0), (7, 7), (15, 3), (4, 0)])
+    ]
     states, _, _ = agree(any_device, lambda scene: scene.put_surface("ground", positions), points, lights)
     assert (states == 1).mean() > 0.1
 
 
 def test_samples_far_away(any_device: str) -> None:
     rng = np.random.default_rng(9)
-    positions = {"terrain": HeightField(surfaces.terrain(rng, 12, 12), 1.0).positions(), "image": surfaces.depth_surface(rng, 12, 12)}
+    positions = {
+        "terrain": HeightField(surfaces.terrain(rng, 12, 12), 1.0).positions(),
+        "image": surfaces.depth_surface(rng, 12, 12),
+    }
     ways = rng.normal(size=(200, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     for each in positions.values():
@@ -247,7 +269,9 @@ def test_many_surfaces_and_rooms_that_are_full(any_device: str, monkeypatch: pyt
 
     def setup(scene: Scene) -> None:
         for k in range(9):
-            field = HeightField(surfaces.terrain(np.random.default_rng(k), 6, 6), 1.0, (7.0 * (k % 3), -7.0 * (k // 3), 0.0))
+            field = HeightField(
+                surfaces.terrain(np.random.default_rng(k), 6, 6), 1.0, (7.0 * (k % 3), -7.0 * (k // 3), 0.0)
+            )
             scene.put_surface(f"tile {k}", field, pose=_pose(0.1 * k, (0, 0, 1), (0, 0, 0)))
 
     points = rng.uniform((-3, -25, -3), (25, 3, 3), (600, 3))
@@ -298,18 +322,16 @@ def test_sequences_of_unlike_frames(any_device: str) -> None:
 
 def test_images_spheres_and_a_second_pipeline(any_device: str) -> None:
     """Depth images of a surface, traced with point and sphere lights, and verified."""
-    rng = np.random.default_rng(14)
     tracers = [surfaces.tracer(any_device, name) for name in ("height_field", "light_grid", "brute_force")]
-    camera = Camera.look_at(60, 40, 40.0, (8.0, -20.0, 14.0), (8.0, -8.0, 0.0))
+    pose = geometry.look_at((8.0, -20.0, 14.0), (8.0, -8.0, 0.0), (0.0, 0.0, 1.0))
+    camera = Camera(60, 40, 40.0, 40.0, 29.5, 19.5, pose)
     lights = [PointLight("lamp", (8.0, -8.0, 9.0)), SphereLight("bulb", (2.0, -3.0, 8.0), 0.5, samples=5)]
-    from shadow_tracer import render_depth
-
     frames = []
     for tracer in tracers:
         tracer.scene.put_surface("ground", HeightField(surfaces.terrain(np.random.default_rng(14), 18, 18), 1.0))
         depth, _ = render_depth(tracer.scene, camera, device=any_device)
         frames.append(tracer.trace(depth, camera, lights, 0.05))
-    assert rng is not None and np.isfinite(depth).mean() > 0.4
+    assert np.isfinite(depth).mean() > 0.4
     for frame in frames[:2]:
         assert frame.differing(frames[2]) == 0
         assert np.array_equal(frame.visibility("bulb"), frames[2].visibility("bulb"), equal_nan=True)
@@ -320,12 +342,17 @@ def test_images_spheres_and_a_second_pipeline(any_device: str) -> None:
 @pytest.mark.parametrize("sequence", ["livingroom1", "redkitchen"])
 def test_recorded_depth_images_as_their_own_occluders(any_device: str, sequence: str) -> None:
     depth, k, pose = data.frame(sequence, 0)
+    u, _, v = np.linalg.svd(pose[:3, :3])
+    pose[:3, :3] = u @ v  # some of them are given with four digits
     z = depth[::8, ::8] / 1000.0
     valid = (z > 0) & (z < 60)
     down, across = np.mgrid[: depth.shape[0] : 8, : depth.shape[1] : 8]
     positions = np.stack([(across - k[0, 2]) / k[0, 0] * z, (down - k[1, 2]) / k[1, 1] * z, z], axis=-1)
     points = _moved(pose, positions[valid][::3])
-    lights = [PointLight(f"lamp {n}", _moved(pose, np.array(each))) for n, each in enumerate([(0, 0, 0), (0.4, -0.3, 0), (1, 0, 1.5), (0, 0, 9)])]
+    lights = [
+        PointLight(f"lamp {n}", _moved(pose, np.array(each)))
+        for n, each in enumerate([(0, 0, 0), (0.4, -0.3, 0), (1, 0, 1.5), (0, 0, 9)])
+    ]
     states, _, tracer = agree(
         any_device, lambda scene: scene.put_surface("image", positions, valid, pose), points, lights, 0.02
     )
