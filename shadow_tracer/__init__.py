@@ -18,6 +18,7 @@ from shadow_tracer.scene.lights import (
     TubeLight,
 )
 from shadow_tracer.scene.mesh import Mesh, Scene
+from shadow_tracer.scene.surface import HeightField
 from shadow_tracer.tracer import ShadowTracer
 from shadow_tracer.visibility import Frame, State
 
@@ -32,6 +33,7 @@ __all__ = [
     "DirectionalLight",
     "DiscLight",
     "Frame",
+    "HeightField",
     "Mesh",
     "PointLight",
     "RectangleLight",

@@ -351,3 +351,16 @@ def _forget(band: Any) -> None:
         band._kept.forget()
     if hasattr(band.pipeline, "_hints"):  # of mesh_bvh: what hid each ray last
         band.pipeline._hints.zero_()
+
+
+def charts(tracer: ShadowTracer) -> tuple[list[str], int]:
+    """Of ``height_field``: names of the surfaces that have a chart, and the number of the one that the last light has
+    been swept over, -1 if none has."""
+    accelerator: Any = pipeline(tracer)
+    return [placed.mesh.name for placed in accelerator._charts.placed], int(accelerator._sweeps.sweep.number)
+
+
+def lose_places(tracer: ShadowTracer) -> None:
+    """Let no chart of ``height_field`` know where its positions are, until its surface changes."""
+    accelerator: Any = pipeline(tracer)
+    accelerator._charts.structure.beside.fill_(1.0e30)

@@ -78,6 +78,11 @@ REGISTRY: dict[str, PipelineEntry] = {
         {"nested": "hierarchical_grid.hierarchical_grid:HierarchicalGrid"},
         ("nested",),
     ),
+    "height_field": PipelineEntry(
+        "surfaces as heights over rows and columns, rays go down boxes of these; meshes as in mesh_bvh",
+        {"pyramid": "height_field.height_field:HeightFields"},
+        ("pyramid",),
+    ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
         dict.fromkeys(("filtered", "float64"), _BRUTE_FORCE),
