@@ -66,6 +66,10 @@ REGISTRY: dict[str, PipelineEntry] = {
         "bounding volume hierarchy over the triangles, refitted while only positions change",
         dict.fromkeys(("refit", "rebuild", "binary"), _BVH),
     ),
+    "bvh": PipelineEntry(
+        "bounding volume hierarchy over blocks of 16 triangles, sixteen children per node, built per topology and refitted",
+        dict.fromkeys(("sah", "median", "lbvh", "threaded"), "bvh.bvh:Bvh"),
+    ),
     "uniform_grid": PipelineEntry(
         "a grid of equal cells over the triangles, rays step from cell to cell",
         {"dda": "uniform_grid.uniform_grid:UniformGrid"},
