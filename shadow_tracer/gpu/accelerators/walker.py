@@ -76,6 +76,14 @@ class Walk:
                 self._kernels[query.name, wide] = kernel
                 self.functions.append(function)
 
+    def __or__(self, other: Walk) -> Walk:
+        """Kernels of both: for each query those of the one that answers it, of ``other`` if both do."""
+        made = Walk.__new__(Walk)
+        made.modules = list(dict.fromkeys([*self.modules, *other.modules]))
+        made.functions = [*self.functions, *other.functions]
+        made._kernels = {**self._kernels, **other._kernels}
+        return made
+
     def launch(self, query: Query, count: int, structure: Any, asked: Any, device: Any) -> None:
         """Send ``count`` rays through a structure."""
         wide = forms.wide(device)
@@ -122,6 +130,7 @@ class Walker(Accelerator):
     def show(self, work: Pass) -> None:
         """Send the rays of the light through the structure."""
         context, frame, asked = self._context, self._context.frame, AnyHit()
+        asked.width = frame.width
         asked.rays, asked.occluders, asked.answers = frame.rays, context.occluders(work), context.answers(work)
         with context.stages.stage("trace"):
             self.walk.launch(ANY_HIT, frame.count, self.structure, asked, frame.device)

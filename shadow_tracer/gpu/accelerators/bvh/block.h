@@ -1,6 +1,6 @@
 // cpu
 // needs: device/lanes.h@16
-// constants: TREE_LANES BLOCK_BAND BLOCK_FLOOR
+// constants: TREE_LANES BLOCK_FLOOR
 // Sixteen triangles against a ray, or a bundle of them: those that may be met; bvh.py derives the bands.
 struct Block {
     static inline Real16 row(const float* rows, int k) { return *(const Real16*)(rows + TREE_LANES * k); }

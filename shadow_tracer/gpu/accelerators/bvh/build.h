@@ -1,4 +1,4 @@
-// constants: TREE_LANES FEWEST CORNERS RULED LEVELS COUNT_OF_NODES COUNT_OF_BLOCKS RULE_SAH RULE_MEDIAN RULE_MORTON
+// constants: TREE_LANES FEWEST CORNERS RULED LEVELS COUNT_OF_NODES COUNT_OF_BLOCKS RULE_SAH RULE_MEDIAN
 // arguments: Tree tree, Sorting sorting
 // Splits nodes top down until a block holds their triangles; see build.py.
 struct Build {

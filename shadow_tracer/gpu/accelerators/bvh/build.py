@@ -64,6 +64,14 @@ def refit_all_blocks(
 def refit_node(number: int, tree: Tree): ...
 
 
+@native.func_native("accelerators/bvh/refit.h", calls="Refit::area")
+def area_of_node(number: int, tree: Tree) -> wp.float64: ...
+
+
+@native.func_native("accelerators/bvh/refit.h", calls="Refit::measure")
+def measure_all(tree: Tree, areas: wp.array(dtype=wp.float64)): ...
+
+
 @native.func_native("accelerators/bvh/refit.h", calls="Refit::nodes")
 def refit_all_nodes(tree: Tree): ...
 
@@ -183,6 +191,23 @@ def escape_level(tree: Tree, begins: wp.array(dtype=int), level: int, tasks: int
 
 
 @wp.kernel(enable_backward=False)
+def measure_nodes(tree: Tree, areas: wp.array(dtype=wp.float64)):
+    """Add the surface of a node's box to ``areas[0]``; that of the root's is ``areas[1]``. A thread for each node that
+    there may be."""
+    number = wp.tid()
+    if number < tree.counts[NODES]:
+        wp.atomic_add(areas, 0, area_of_node(number, tree))
+    if number == 0:
+        areas[1] = area_of_node(0, tree)
+
+
+@wp.kernel(enable_backward=False)
+def measure_tree(tree: Tree, areas: wp.array(dtype=wp.float64)):
+    """The same by one thread."""
+    measure_all(tree, areas)
+
+
+@wp.kernel(enable_backward=False)
 def widen_tree(tree: Tree):
     """One thread."""
     widen_all(tree)
@@ -212,18 +237,24 @@ class Builder:
     Args:
         triangles: the most there can be.
         threaded: whether the tree has links past all below a node.
+
+    Attributes:
+        tree: it.
+        areas: two numbers on the device, the surfaces of the boxes of all its nodes together and of the root's.
     """
 
     def __init__(self, triangles: int, rule: int, threaded: bool, device: Any) -> None:
         self._rule, self._device = rule, device
         self._wide = forms.wide(device)
+        self._tasks = forms.tasks(device, _TASKS)
         self._sort = KeySort(triangles, device)
         self._boxes = wp.empty(triangles * CORNERS, dtype=float, device=device)
         self._begins = wp.zeros(LEVELS + 3, dtype=int, device=device)
         self._sorting = Sorting()
         self._sorting.order, self._sorting.codes, self._sorting.boxes = self._sort.values, self._sort.keys, self._boxes
-        self.tree = make_tree(triangles, self._wide, threaded, device)
         self._levels = 0  # of the tree, at most
+        self.tree = make_tree(triangles, self._wide, threaded, device)
+        self.areas = wp.zeros(2, dtype=wp.float64, device=device)
 
     def build(self, scene: SceneBuffers) -> None:
         """Sort the triangles of a scene into blocks, and make nodes of these."""
@@ -245,27 +276,29 @@ class Builder:
         if len(tree.escapes):
             for level in range(self._levels):
                 self._launch(escape_level, self._tasks, [tree, self._begins, level, self._tasks])
-        self.refit(scene)
+        self._refit(scene)
         if len(tree.links):
             self._launch(widen_tree, 1, [tree])
             self._launch(refit_wide_nodes, 1, [tree])
 
     def refit(self, scene: SceneBuffers) -> None:
         """Boxes of blocks and nodes, and the rows of blocks, for triangles that are elsewhere."""
+        self._refit(scene)
+        if len(self.tree.links):
+            self._launch(refit_wide_nodes, 1, [self.tree])
+
+    def _refit(self, scene: SceneBuffers) -> None:
         tree, count = self.tree, scene.triangle_count
         inputs = [count, scene.vertices, scene.triangles, tree]
         if self._wide:
             self._launch(refit_tree, 1, inputs)
-            if len(tree.links):
-                self._launch(refit_wide_nodes, 1, [tree])
+            self._launch(measure_tree, 1, [tree, self.areas])
             return
         self._launch(refit_blocks, most_blocks(count), inputs)
         for level in reversed(range(self._levels)):
             self._launch(refit_level, self._tasks, [tree, self._begins, level, self._tasks])
-
-    @property
-    def _tasks(self) -> int:
-        return forms.tasks(self._device, _TASKS)
+        self.areas.zero_()
+        self._launch(measure_nodes, 2 * most_blocks(count), [tree, self.areas])
 
     def _launch(self, kernel: Any, dim: int, inputs: list[Any]) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)

@@ -1,32 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bounding volume hierarchy over blocks of sixteen triangles, built per topology and refitted."""
+"""DOC"""
 
 from __future__ import annotations
 
-from shadow_tracer.gpu.accelerators.bvh.build import MEDIAN, MORTON, SAH, Builder
-from shadow_tracer.gpu.accelerators.bvh.tree import Tree, most_blocks
+from shadow_tracer.gpu.accelerators.bvh.scene_tree import KINDS
+from shadow_tracer.gpu.accelerators.bvh.tree import Tree
 from shadow_tracer.gpu.accelerators.interface import Context, Traits
-from shadow_tracer.gpu.accelerators.segment import holds, scene_box
 from shadow_tracer.gpu.accelerators.walker import Walk, Walker
 from shadow_tracer.gpu.device import forms, native
-from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST, MASK
-from shadow_tracer.scene.checks import FloatArray
 
-Structure = Tree
 # Bounds of what roundings do to the planes of a triangle of size 1, and the least bound.
 native.constants(BLOCK_BAND=2.0**-17, BLOCK_FLOOR=1e-30)
+# Rays of a bundle are no farther from its middle, in units of the scene's extent, and so many nodes and blocks for each
+# of them is the most that it visits: other packets are cut in two.
+native.constants(WIDEST=2.0**-6, PATIENCE=4)
+# Of rays in a packet, in units of the extent: longer ones are shown everything.
+native.constants(LONGEST=1e100)
 
-_RULES = {"sah": SAH, "median": MEDIAN, "lbvh": MORTON, "threaded": SAH}
 _QUERIES = (ANY_HIT, MASK, CLOSEST)
-_SIXTEEN = Walk("accelerators/bvh/sixteen.h", Tree, queries=_QUERIES)
+# On the CPU: rays one by one, and in packets of sixteen.
+SINGLE = Walk("accelerators/bvh/sixteen.h", Tree, queries=_QUERIES)
+PACKETS = SINGLE | Walk("accelerators/bvh/packets.h", Tree, lanes=16)
 _PAIRS = Walk("accelerators/bvh/pairs.h", Tree, queries=_QUERIES)
 _THREADED = Walk("accelerators/bvh/threaded.h", Tree, queries=_QUERIES)
-
-# The share of triangles that may be replaced before the tree is built again.
-_REPLACED = 1 / 8
-# A refitted tree whose rays visit this many times the nodes they visited after the last build is built again.
-_WORN_OUT = 2.0
 
 
 class Bvh(Walker):
@@ -36,41 +33,10 @@ class Bvh(Walker):
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
-        device, threaded = context.frame.device, variant == "threaded"
-        self._builder = Builder(context.frame.bounds.max_triangles, _RULES[variant], threaded, device)
-        self.walk = _THREADED if threaded else _SIXTEEN if forms.wide(device) else _PAIRS
-        self._built_for: Revision | None = None
-        self._built_count = 0
-        self._held: tuple[FloatArray, FloatArray] | None = None  # what the scene's box was made to hold
-        self._refits = 0  # since the last build
-        self._fresh_nodes: float | None = None  # nodes per ray of the first frame after a build
-        self._worn_out = False
+        kind = KINDS[variant]
+        self._tree = context.shared.take(kind, lambda: kind(context))
+        self.walk = _THREADED if kind.threaded else PACKETS if forms.wide(context.frame.device) else _PAIRS
 
     def build(self) -> Tree:
-        """Refit or build the tree."""
-        scene, tree = self._context.scene, self._builder.tree
-        low, high = scene.box()
-        if self._held is None or not holds(self._held, low, high):
-            tree.box, self._held = scene_box(low, high), (low, high)
-        built_for = self._built_for
-        if built_for is None or built_for.topology != scene.revision.topology or self._worn_out:
-            self._builder.build(scene)
-            self._fresh_nodes, self._worn_out, self._refits = None, False, 0
-        else:
-            self._builder.refit(scene)
-            self._refits += 1
-        self._built_for = scene.revision
-        return tree
-
-    def learn(self, counters: dict[str, int]) -> None:
-        """Judge the tree by the nodes visited per ray in the frame that just ended."""
-        if counters["rays"] == 0:
-            return
-        nodes = counters["nodes_visited"] / counters["rays"]
-        if self._fresh_nodes is None:
-            self._fresh_nodes = nodes
-        self._worn_out = self._refits > 0 and nodes > _WORN_OUT * max(self._fresh_nodes, 1.0)
-
-    def nbytes(self) -> int:
-        """The tree, and what it is built with."""
-        return self._builder.nbytes()
+        """Refit or build the tree, unless another share of the rays has done so."""
+        return self._tree.follow()

@@ -88,11 +88,25 @@ struct Refit {
         const float* two = tree.corners.data + CORNERS * (size_t)children[1];
         float* box = tree.corners.data + CORNERS * (size_t)number;
         // Boxes that hold nothing make no box larger.
-        const float* only = one[0] == (float)BOX_OUTSIDE ? two : two[0] == (float)BOX_OUTSIDE ? one : nullptr;
+        const bool only_one = two[0] == (float)BOX_OUTSIDE, only_two = one[0] == (float)BOX_OUTSIDE;
         for (int k = 0; k < 4; ++k) {
-            box[k] = only ? only[k] : one[k] < two[k] ? one[k] : two[k];
-            box[4 + k] = only ? only[4 + k] : one[4 + k] > two[4 + k] ? one[4 + k] : two[4 + k];
+            box[k] = only_one || (!only_two && one[k] < two[k]) ? one[k] : two[k];
+            box[4 + k] = only_one || (!only_two && one[4 + k] > two[4 + k]) ? one[4 + k] : two[4 + k];
         }
+    }
+    // Half of the surface of a node's box.
+    static inline double area(int number, const Tree& tree) {
+        const float* box = tree.corners.data + CORNERS * (size_t)number;
+        const double x = box[4] - box[0], y = box[5] - box[1], z = box[6] - box[2];
+        return x * y + y * z + z * x;
+    }
+    // Adds up all of them.
+    static inline void measure(const Tree& tree, const wp::array_t<double>& areas) {
+        double sum = 0.0;
+        for (int k = 0; k < tree.counts.data[COUNT_OF_NODES]; ++k)
+            sum += area(k, tree);
+        areas.data[0] = sum;
+        areas.data[1] = area(0, tree);
     }
     // All of them in one thread.
     static inline void nodes(const Tree& tree) {

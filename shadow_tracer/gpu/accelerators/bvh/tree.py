@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tree of pipeline ``bvh``: nodes with two children over blocks of up to sixteen triangles, and for the CPU the same
-tree with up to sixteen children per node.
+"""The tree of pipeline ``bvh``: two children per node, over blocks of up to sixteen triangles; and for the CPU the same
+tree with up to sixteen children per node (Wald, Benthin, Boulos 2008: "Getting Rid of Packets"; there four).
 
-A node with two children takes 40 bytes: low and high corner, each in four floats, and its children, or its block. Children
-have greater numbers than their parent. What rays walk through on the CPU is laid out for loads of sixteen floats:
+A node with two children takes 40 bytes: low and high corner, each in four floats, and its children, or its block.
+Children have greater numbers than their parent. What rays walk through on the CPU is laid out for loads of sixteen
+floats:
 
 - a node is six rows of sixteen bounds and a row of sixteen links, 448 bytes;
-- a block is ten rows of sixteen floats, and the numbers of its triangles, 704 bytes: a corner, the two edges from there,
+- a block is ten rows of sixteen floats and the numbers of its triangles, 704 bytes: a corner, the two edges from there,
   and the size of the longest edge (``block.h``).
 
-A block that is a leaf has at least ``FEWEST`` triangles where there are so many, so an eighth of the triangles is the
-most blocks there can be, and with them everything else. A node with inner children has all sixteen, and so is made of
-fifteen inner nodes; others are made of one at least, and have leaves alone. Sixteen of the latter below one of the
-former, seventeen nodes of 31, is the most there can be.
+Blocks have at least ``FEWEST`` triangles where there are so many, so there are at most an eighth as many of them as
+triangles, and twice as many nodes. A wide node with inner children has all sixteen, and so is made of fifteen inner
+nodes; one with blocks alone is made of one at least. The most that n inner nodes make is 17 n / 31 wide ones: sixteen
+of the latter below each of the former.
 """
 
 from __future__ import annotations
