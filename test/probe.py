@@ -144,6 +144,13 @@ def structure(tracer: ShadowTracer) -> Any:
     return inside._pipeline.structure
 
 
+def builds(tracer: ShadowTracer) -> int:
+    """How often the tree of ``bvh`` has been built, for all shares together."""
+    inside: Any = tracer._engine.inside
+    trees = {id(share.pipeline._tree): share.pipeline._tree for share in inside._team}
+    return sum(tree.builds for tree in trees.values())
+
+
 def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
     """What the pixels of a camera see of the tracer's scene, as it was in the last frame, through the structure of its
     only share."""

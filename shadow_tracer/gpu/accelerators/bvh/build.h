@@ -46,8 +46,11 @@ struct Build {
         return around;
     }
     static inline int blocks(int count) { return (count + TREE_LANES - 1) / TREE_LANES; }
-    // Half of the blocks, all of them full.
-    static inline int half(int count) { return blocks(count) / 2 * TREE_LANES; }
+    // Half of the blocks, all of them full; or all but a block of the fewest.
+    static inline int half(int count) {
+        const int left = blocks(count) / 2 * TREE_LANES;
+        return count - left < FEWEST ? count - FEWEST : left;
+    }
     static inline bool enough(int left, int count) { return left >= FEWEST && count - left >= FEWEST; }
 
     // Which triangles are to be in front: those in bins before one, with keys less than one, or equal to it.

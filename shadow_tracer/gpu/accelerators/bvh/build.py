@@ -1,5 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Building the tree of pipeline ``bvh``, and refitting it."""
+"""Building the tree of pipeline ``bvh``, and refitting it. ``build.h`` splits a node's triangles by one of three rules:
+
+- ``SAH``: least expected cost of a ray, among sixteen equal bins along each axis (Wald 2007: "On fast Construction of
+  SAH-based Bounding Volume Hierarchies"), where a side costs its surface times its blocks, rounded up;
+- ``MEDIAN``: half of the blocks, all but two of them full, by the middles along the longest axis (Kay and Kajiya 1986: "Ray
+  Tracing Complex Scenes"), found digit by digit in eight passes however they are;
+- ``MORTON``: where the highest bit changes of Morton codes of thirty bits (Lauterbach et al. 2009: "Fast BVH
+  Construction on GPUs"). Warp's constructor ``lbvh`` makes the same hierarchy bottom up, on CUDA alone; asked for it on
+  the CPU, it warns and builds its ``sah``. This is built here on both.
+
+A side gets ``FEWEST`` triangles at least. Where a rule finds no split, and below level ``RULED``, a node is halved, so
+that no tree is deeper than ``LEVELS``: 32, and 27 to halve 2^31 triangles.
+
+On the CPU one compiled loop builds all, depth first, and makes the wide nodes of it. On CUDA nodes are split level by
+level, a thread each, which reads nothing back: the first level takes one thread as long as it takes to look at all
+triangles four times, and each further level half as long. That is slow, but paid once per topology; it has not been
+measured. Boxes are refitted level by level, from the last one up.
+
+Which node gets which number depends on the order of threads there, and so do the last bits of ``areas``; answers do
+not.
+"""
 
 from __future__ import annotations
 
