@@ -3,8 +3,8 @@
 
 - ``SAH``: least expected cost of a ray, among sixteen equal bins along each axis (Wald 2007: "On fast Construction of
   SAH-based Bounding Volume Hierarchies"), where a side costs its surface times its blocks, rounded up;
-- ``MEDIAN``: half of the blocks, all but two of them full, by the middles along the longest axis (Kay and Kajiya 1986: "Ray
-  Tracing Complex Scenes"), found digit by digit in eight passes however they are;
+- ``MEDIAN``: half of the blocks, all but two of them full, by the middles along the longest axis (Kay and Kajiya 1986:
+  "Ray Tracing Complex Scenes"), found digit by digit in eight passes however they are;
 - ``MORTON``: where the highest bit changes of Morton codes of thirty bits (Lauterbach et al. 2009: "Fast BVH
   Construction on GPUs"). Warp's constructor ``lbvh`` makes the same hierarchy bottom up, on CUDA alone; asked for it on
   the CPU, it warns and builds its ``sah``. This is built here on both.

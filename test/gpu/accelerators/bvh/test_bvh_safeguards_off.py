@@ -93,7 +93,10 @@ _MUTANTS: dict[str, tuple[str, tuple[bool, bool], list[Change]]] = {
     "blocks of any number of triangles": (
         "every_triangle",
         _BOTH,
-        [(_BVH + "build.h", "if (!enough(left, count))", "if (left <= 0 || left >= count)")],
+        [
+            (_BVH + "build.h", "if (!enough(left, count))", "if (left <= 0 || left >= count)"),
+            (_BVH + "build.h", "if (cost < least && enough(within, count)) {", "if (cost < least) {"),
+        ],
     ),
 }
 
