@@ -65,6 +65,15 @@ EXCEPTIONS = {
     # Rays through a structure over triangles.
     "accelerators.bvh.mesh_bvh.mask/walk_binary_tree_mask_1": Budget(216, 1344, reason=_MASK),
     "accelerators.bvh.mesh_bvh.closest/walk_binary_tree_closest_1": Budget(144, 1216, reason=_CLOSEST),
+    "accelerators.bvh.tree.mask/walk_pairs_mask_1": Budget(196, 1360, reason=_MASK),
+    "accelerators.bvh.tree.mask/walk_threaded_mask_1": Budget(194, 1088, reason=_MASK),
+    "accelerators.bvh.tree.closest/walk_pairs_closest_1": Budget(144, 1168, reason=_CLOSEST),
+    "accelerators.bvh.tree.closest/walk_threaded_closest_1": Budget(136, 896, reason=_CLOSEST),
+    "accelerators.bvh.tree.any_hit/walk_pairs_any_hit_1": Budget(68, 264, reason="a stack of 60 nodes"),
+    "accelerators.bvh.build/split_level": Budget(
+        224, 2024, reason="bins of triangles along three axes, one node a thread; once per topology"
+    ),
+    "accelerators.bvh.build/build_tree": Budget(224, 2576, reason=_CPU),
     "accelerators.uniform_grid.uniform_grid.closest/walk_cells_closest_1": Budget(112, 1104, reason=_CLOSEST),
     "accelerators.brute_force.brute_force.closest/walk_every_triangle_closest_1": Budget(104, 896, reason=_CLOSEST),
     "accelerators.bvh.mesh_bvh.any_hit/walk_binary_tree_any_hit_1": Budget(66, 288, reason="a stack of 64 nodes"),

@@ -261,6 +261,11 @@ def structure(tracer: ShadowTracer) -> Any:
     return pipeline(tracer).build.structure
 
 
+def builds(tracer: ShadowTracer) -> int:
+    """How often the tree of ``bvh`` has been built."""
+    return int(pipeline(tracer).build.tree.builds)
+
+
 def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
     """What the pixels of a camera see of the tracer's scene, as it was in the last frame, through the structure of its
     only band."""

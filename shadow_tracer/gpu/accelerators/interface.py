@@ -80,6 +80,7 @@ class Context:
     def any_hit(self, rays: Rays) -> AnyHit:
         """What the query *any hit* needs for the rays of a light."""
         asked = AnyHit()
+        asked.width = self.samples.width
         asked.rays, asked.occluders, asked.answers = self.samples.rays, self.occluders(rays), self.answers(rays)
         return asked
 

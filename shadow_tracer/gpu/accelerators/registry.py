@@ -40,8 +40,9 @@ AUTO = "auto"
 _PACKED = "light_grid.packed:PackedGrid"
 _LINEAR = "cone_hierarchy.linear:LinearHierarchy"
 _PAPER = "paper_hierarchy.paper:PaperHierarchy"
-_BVH = "bvh.mesh_bvh:MeshBvh"
+_MESH_BVH = "bvh.mesh_bvh:MeshBvh"
 _BRUTE_FORCE = "brute_force.brute_force:BruteForce"
+_BVH_VARIANTS = ("sah", "median", "lbvh", "threaded")
 _OF_THE_PAPER = (
     "precise",
     "precise_sorted",
@@ -65,8 +66,13 @@ REGISTRY: dict[str, PipelineEntry] = {
     ),
     "mesh_bvh": PipelineEntry(
         "bounding volume hierarchy over the triangles, refitted while only positions change",
-        dict.fromkeys(("refit", "rebuild", "binary"), _BVH),
+        dict.fromkeys(("refit", "rebuild", "binary"), _MESH_BVH),
         ("refit", "rebuild", "binary"),
+    ),
+    "bvh": PipelineEntry(
+        "a tree over blocks of 16 triangles, rays in packets of 16; built for each topology, refitted as things move",
+        dict.fromkeys(_BVH_VARIANTS, "bvh.bvh:Bvh"),
+        _BVH_VARIANTS,
     ),
     "uniform_grid": PipelineEntry(
         "a grid of equal cells over the triangles, rays step from cell to cell",

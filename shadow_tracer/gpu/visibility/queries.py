@@ -42,6 +42,7 @@ class Query:
 class AnyHit:
     """Whether anything hides the rays of one light: in the frame of that light, with the triangles as it sees them."""
 
+    width: int  # of the image that the samples come from; 0 if they are a list of points
     rays: wp.array(dtype=wp.vec4)
     occluders: Occluders
     answers: Answers
