@@ -124,10 +124,10 @@ def tracers() -> Tracers:
 
 
 # Variants that share most of their code, or are there to be compared with: of each case of the general tests they take
-# turns, two or three of the nine.
+# turns, two or three of the eleven. The last two are references, slow ones.
 # SHADOW_TRACER_ALL_CASES=1 gives every case to every variant; their own tests and the views always do.
 _SISTERS = ("precise", "precise_sorted", "spheres", "spheres_sorted", "precise_sea", "precise_eatp", "precise_seatp")
-_SISTERS += ("spherical", "measured")
+_SISTERS += ("spherical", "measured", "exact", "lazy")
 _FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy", "test_probe")
 
 

@@ -74,6 +74,18 @@ REGISTRY: dict[str, PipelineEntry] = {
         "a grid over the triangles whose dense cells hold grids, rays step from cell to cell",
         {"nested": "hierarchical_grid.hierarchical_grid:HierarchicalGrid"},
     ),
+    "kd_tree": PipelineEntry(
+        "a tree of planes along the axes, where they make rays cheapest; rays walk from cell to cell",
+        {"sah": "kd_tree.kd_tree:KdTree"},
+    ),
+    "octree": PipelineEntry(
+        "a tree of cubes over the triangles, split while they have many; rays walk from cube to cube",
+        {"parametric": "octree.octree:Octree"},
+    ),
+    "bsp": PipelineEntry(
+        "halves of space cut by planes of triangles and axes, by exact signs: a reference, slow to build",
+        {"exact": "bsp.bsp:BinarySpacePartition"},
+    ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
         dict.fromkeys(("filtered", "float64"), _BRUTE_FORCE),
