@@ -293,3 +293,11 @@ def _forget(share: Any) -> None:
     hints = getattr(getattr(share.pipeline, "_tree", None), "hints", None)  # of mesh_bvh: what hid each ray last
     if hints is not None:
         hints.zero_()
+
+
+def light_frame(tracer: ShadowTracer, light: Any) -> Any:
+    """The frame that the last one used around a light, the first one."""
+    from shadow_tracer.gpu.exact.light_frame import make_light_frame
+
+    inside: Any = tracer._engine.inside
+    return make_light_frame(light, inside._anchor)

@@ -16,7 +16,7 @@ import views
 from benchmark import procedural
 from shadow_tracer import PointLight, SpotLight, State
 
-_ADAPTIVE = (("kd_tree", "sah"), ("octree", "parametric"), ("bsp", "exact"))
+_ADAPTIVE = (("kd_tree", "sah"), ("octree", "parametric"), ("bsp", "exact"), ("light_buffer", "cube"))
 _EYES = ("pot", "touchline", "stand")
 
 

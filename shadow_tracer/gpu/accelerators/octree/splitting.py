@@ -113,8 +113,8 @@ def child(
     here: Level,
     there: Level,
 ):
-    """Make a child of the cell at ``place`` at level ``next``, and say in ``here`` where its triangles go. At no level it
-    is a leaf, and so it is where there is no room for a cell more."""
+    """Make a child of the cell at ``place`` at level ``next``, and say in ``here`` where its triangles go. At no level
+    it is a leaf, and so it is where there is no room for a cell more."""
     cell = here.cells[place]
     count = here.octants[place, octant]
     here.octants[place, octant] = -1 - node
