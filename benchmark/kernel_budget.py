@@ -88,6 +88,19 @@ EXCEPTIONS = {
         112, reason="float64: a triangle's cells in two grids, and in the one that is planned"
     ),
     "accelerators.hierarchical_grid.nesting/enter_cells": Budget(80, reason="a triangle's cells in three grids"),
+    "accelerators.kd_tree.splitting.any_hit/walk_planes_any_hit_1": Budget(
+        66, 416, reason="a stack of 40 nodes, sixteen mailboxes"
+    ),
+    "accelerators.kd_tree.splitting.closest/walk_planes_closest_1": Budget(130, 1312, reason=_CLOSEST),
+    "accelerators.octree.splitting.any_hit/walk_octants_any_hit_1": Budget(
+        66, 208, reason="sixteen cells around, sixteen mailboxes"
+    ),
+    "accelerators.octree.splitting.closest/walk_octants_closest_1": Budget(138, 1104, reason=_CLOSEST),
+    "accelerators.bsp.splitting.any_hit/walk_halves_any_hit_1": Budget(
+        76, 1136, reason="a reference: a stack of 48 nodes and parts of the ray in float64"
+    ),
+    "accelerators.bsp.splitting/count_halves": Budget(100, 848, reason="three exact sides: " + _EXACT),
+    "accelerators.bsp.splitting/pass_on": Budget(100, 848, reason="three exact sides: " + _EXACT),
     # Float64 per pixel.
     "samples.rays/project_samples": Budget(96, reason="float64: a light's frame and the sample in it"),
     "samples.pixels/unproject": Budget(80, reason="float64: the camera's pose and the sample"),

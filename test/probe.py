@@ -369,3 +369,10 @@ def lose_places(tracer: ShadowTracer) -> None:
     """Let no chart of ``height_field`` know where its positions are, until its surface changes."""
     accelerator: Any = pipeline(tracer)
     accelerator._charts.structure.beside.fill_(1.0e30)
+
+
+def light_frame(tracer: ShadowTracer, light: Any) -> Any:
+    """The frame that the last one used around a light, the first one."""
+    from shadow_tracer.gpu.exact.light_frame import make_light_frame
+
+    return make_light_frame(light, anchor(tracer))

@@ -89,6 +89,29 @@ REGISTRY: dict[str, PipelineEntry] = {
         {"pyramid": "height_field.height_field:HeightFields"},
         ("pyramid",),
     ),
+    "kd_tree": PipelineEntry(
+        "a tree of planes along the axes, where they make rays cheapest; rays walk from cell to cell",
+        {"sah": "kd_tree.kd_tree:KdTree"},
+        ("sah",),
+    ),
+    "octree": PipelineEntry(
+        "a tree of cubes over the triangles, split while they have many; rays walk from cube to cube",
+        {"parametric": "octree.octree:Octree"},
+        ("parametric",),
+    ),
+    "light_buffer": PipelineEntry(
+        "cells of directions around the light, triangles in each from the light outwards; rays look up their cell",
+        {"cube": "light_buffer.light_buffer:LightBuffer"},
+    ),
+    "bsp": PipelineEntry(
+        "halves of space cut by planes of triangles and axes, by exact signs: a reference, slow to build",
+        {"exact": "bsp.bsp:BinarySpacePartition"},
+        ("exact",),
+    ),
+    "ray_classification": PipelineEntry(
+        "cells of origins and directions, lists of triangles made when rays first ask for them: a reference, slow",
+        {"lazy": "ray_classification.ray_classification:RayClassification"},
+    ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
         dict.fromkeys(("filtered", "float64"), _BRUTE_FORCE),
