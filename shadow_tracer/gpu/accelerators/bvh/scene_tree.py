@@ -49,10 +49,12 @@ class SceneTree:
         if made_for == scene.revision:
             return tree
         self._made_for = None  # what cannot be made is built the next time
+        fits = made_for is not None and made_for.topology == scene.revision.topology
+        build = not fits or self._worn_out()
         low, high = scene.box()
-        if self._held is None or not holds(self._held, low, high):
+        if build or self._held is None or not holds(self._held, low, high):
             tree.box, self._held = scene_box(low, high), (low, high)
-        if made_for is None or made_for.topology != scene.revision.topology or self._worn_out():
+        if build:
             self._builder.build(scene)
             self._fresh = None
             self.builds += 1
