@@ -39,7 +39,8 @@ more than underflow takes away. Lanes without a triangle have S = -1: with it al
 
 A closest hit is looked for with the t that is left; a node that waits is left out when the ray enters it later than
 that. A packet one of whose samples is too far for ``segment.py``, or whose light is beyond 1e100, is shown everything.
-A bundle that is too wide, or has visited too much, is left and cut in two: triangles may be shown again.
+A bundle that is too wide, or has visited too much, is left and cut in two, or into its rays: triangles may be shown
+again.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
 struct Walk16 {
     typedef double Reals __attribute__((ext_vector_type(16), aligned(8)));
     typedef decltype(Reals() < Reals()) Longs;
-    enum { MISSES, MEETS, TOO_FAR, WIDTH = 16 };
+    enum { MISSES, MEETS, TOO_FAR, DONE, TOO_MUCH, APART, WIDTH = 16, HOPELESS = 8 };
     // Where rays begin and end in the box of the scene, in units of its extent; and the lanes that meet it, as bits.
     double begin[3][WIDTH], end[3][WIDTH];
     int meeting;
@@ -56,8 +56,8 @@ struct Walk16 {
         }
         return meeting ? MEETS : MISSES;
     }
-    // Sends those lanes as a bundle, or the only one, unless they are too far from each other.
-    inline bool bundle(int lanes, const Tree& tree, Query16& query) const {
+    // Sends those lanes as a bundle, or the only one; or says why not.
+    inline int bundle(int lanes, const Tree& tree, Query16& query) const {
         double middle[2][3], spread = 0.0;
         const double (*ends[2])[WIDTH] = { begin, end };
         for (int side = 0; side < 2; ++side) {
@@ -81,7 +81,7 @@ struct Walk16 {
         }
         spread = 1.00001 * sqrt(spread);
         if (!(spread <= WIDEST) && (lanes & (lanes - 1)))
-            return false;
+            return spread <= HOPELESS * WIDEST ? TOO_MUCH : APART;
         double way[3], square = 0.0;
         for (int k = 0; k < 3; ++k) {
             way[k] = middle[1][k] - middle[0][k];
@@ -95,7 +95,7 @@ struct Walk16 {
         }
         Descent16 descent(tree, origin, direction, Segment::holding(length), (float)spread);
         const int rays = __builtin_popcount(lanes);
-        return descent.go(query, nullptr, rays == 1 ? Descent16::NO_END : PATIENCE * rays);
+        return descent.go(query, nullptr, rays == 1 ? Descent16::NO_END : PATIENCE * rays) ? DONE : TOO_MUCH;
     }
     static inline void walk(const Tree& tree, Query16& query) {
         Walk16 it;
@@ -104,18 +104,20 @@ struct Walk16 {
             query.everything();
         if (place != MEETS)
             return;
-        // All, or halves of what is too wide.
+        // All, or halves of what is too much, or each alone.
         int stack[WIDTH], top = 1;
         stack[0] = it.meeting;
         while (top) {
-            const int lanes = stack[--top] & query.asking;
-            if (!lanes || it.bundle(lanes, tree, query))
-                continue;
+            const int lanes = stack[--top] & query.asking, done = lanes ? it.bundle(lanes, tree, query) : DONE;
             int low = lanes;
             for (int half = __builtin_popcount(lanes) / 2; half; --half)
                 low &= low - 1;
-            stack[top++] = low;
-            stack[top++] = lanes & ~low;
+            if (done == TOO_MUCH) {
+                stack[top++] = low;
+                stack[top++] = lanes & ~low;
+            }
+            for (int left = done == APART ? lanes : 0; left; left &= left - 1)
+                stack[top++] = left & -left;
         }
     }
 };

@@ -5,7 +5,9 @@ It is built when the scene has other triangles, and refitted when they are elsew
 things move. How bad it is, is counted: a ray that crosses the scene is expected to visit as many nodes as the surfaces
 of all boxes are together, in parts of the root's (Goldsmith and Salmon 1987: "Automatic Creation of Object Hierarchies
 for Ray Tracing"). When that is ``WORN_OUT`` times what it was after the build, the tree is built again the next time
-that something moves: a build takes seven to nine refits, and has paid for itself after some frames.
+that something moves. Where parts of a mesh drift apart, rays take 1.3 times as long at 1.15 times the surface, 2.6
+times at 1.4 and nine times at 2.3 (``docs/performance.md``), and a build takes as long as five to nine refits. Where
+everything bends, surfaces grow that a new tree has, too: then one build is for nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.scene.checks import FloatArray
 
-WORN_OUT = 1.5
+WORN_OUT = 1.25
 
 
 class SceneTree:
@@ -55,10 +57,12 @@ class SceneTree:
         if made_for == scene.revision:
             return tree
         self._made_for = None  # what cannot be made is built the next time
+        fits = made_for is not None and made_for.topology == scene.revision.topology
+        build = not fits or self._worn_out()
         low, high = scene.box()
-        if self._held is None or not holds(self._held, low, high):
+        if build or self._held is None or not holds(self._held, low, high):
             tree.box, self._held = scene_box(low, high), (low, high)
-        if made_for is None or made_for.topology != scene.revision.topology or self._worn_out():
+        if build:
             self._builder.build(scene)
             self._fresh = self._expected = None
             self.builds += 1

@@ -83,7 +83,7 @@ _MUTANTS: dict[str, tuple[str, tuple[bool, bool], list[Change]]] = {
     "other triangles in the blocks of those before": (
         "come_and_go",
         _BOTH,
-        [(_BVH + "scene_tree.py", "made_for.topology != scene.revision.topology or", "")],
+        [(_BVH + "scene_tree.py", "and made_for.topology == scene.revision.topology", "")],
     ),
     "nothing behind a second child": (
         "answers",
