@@ -243,7 +243,7 @@ def stage_uploads(tracer: ShadowTracer) -> None:
 
 def fetched(tracer: ShadowTracer) -> set[int]:
     """Addresses of the arrays on the host into which results are fetched."""
-    return {mirror.ptr for mirror in context(tracer).samples.host._mirrors.values()}
+    return {mirror.ptr for _, mirror, _ in context(tracer).samples.host._copies.values()}
 
 
 def scene_bytes(tracer: ShadowTracer) -> int:
