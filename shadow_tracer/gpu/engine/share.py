@@ -155,7 +155,7 @@ class Share:
         asked = Mask()
         asked.count, asked.points = len(points), self._points
         frame.upload(self._points, points)
-        asked.middle, asked.radius = _bundle(points)
+        asked.middle, asked.extent = _bundle(points)
         asked.positions, asked.states, asked.seen = frame.samples, frame.states_of(place), frame.seen
         asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
         asked.cull, asked.counters = int(records.front_face_culling), frame.counters
@@ -178,15 +178,18 @@ class Share:
         into[:, frame.first : frame.first + frame.count] = states
 
 
-def _bundle(points: FloatArray) -> tuple[wp.vec4d, float]:
-    """Of (P, 4) homogeneous points their middle, and how far they are from there at most [m]. At infinity, a way of
-    length 1, and how far the ends of the others, as long as they reach the plane across its end, are from it."""
-    if points[0, 3] != 0.0:
-        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        return wp.vec4d(*middle), float(np.linalg.norm(points - middle, axis=1).max()) * (1.0 + 1e-9)
-    ways = points[:, :3] / np.linalg.norm(points[:, :3], axis=1)[:, None]
-    middle = ways.sum(axis=0)
-    middle /= np.linalg.norm(middle)
-    ends = ways / (ways @ middle)[:, None]
-    # The middle is off by some roundings, which turn a way by as much.
-    return wp.vec4d(*middle, 0.0), float(np.linalg.norm(ends - middle, axis=1).max()) * (1.0 + 1e-9) + 1e-14
+def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d]:
+    """Of (P, 4) homogeneous points their middle, and how far they are from there along each axis at most [m]. At
+    infinity, a way of length 1, and how far the ends of the others, as long as they reach the plane across its end, are
+    from it."""
+    ends, w = points[:, :3], points[0, 3]
+    if w != 0.0:
+        middle = 0.5 * (ends.min(axis=0) + ends.max(axis=0))
+    else:
+        ways = ends / np.linalg.norm(ends, axis=1)[:, None]
+        middle = ways.sum(axis=0)
+        middle /= np.linalg.norm(middle)
+        ends = ways / (ways @ middle)[:, None]
+    # The middle is off by some roundings.
+    extent = np.abs(ends - middle).max(axis=0) * (1.0 + 1e-9) + 1e-14 * np.abs(ends).max()
+    return wp.vec4d(*middle, w), wp.vec3d(*extent)
