@@ -149,11 +149,21 @@ class Share:
         """Which of (P, 4) homogeneous points of a light each sample sees, as bits, and counters; asked by the samples
         that the light at ``place`` of the batch, which has just been traced, shines on: of others the bits mean
         nothing."""
+        if self.context.scene.triangle_count == 0:
+            return np.full(self.frame.count, (1 << len(points)) - 1, np.uint64), {}
+        return self._ask(place, points, 1).numpy()[: self.frame.count], self._counted()
+
+    def try_out(self, place: int, points: FloatArray, every: int) -> dict[str, int]:
+        """The counters of ``see`` if only one in so many samples asks."""
+        if self.context.scene.triangle_count == 0:
+            return {}
+        self._ask(place, points, every)
+        return self._counted()
+
+    def _ask(self, place: int, points: FloatArray, every: int) -> wp.array:
         frame, scene, records = self.frame, self.context.scene, self.context.records
-        if scene.triangle_count == 0:
-            return np.full(frame.count, (1 << len(points)) - 1, np.uint64), {}
         asked = Mask()
-        asked.count, asked.points = len(points), self._points
+        asked.count, asked.points, asked.every = len(points), self._points, every
         frame.upload(self._points, points)
         asked.middle, asked.extent = _bundle(points)
         asked.positions, asked.states, asked.seen = frame.samples, frame.states_of(place), frame.seen
@@ -161,8 +171,11 @@ class Share:
         asked.cull, asked.counters = int(records.front_face_culling), frame.counters
         frame.counters.zero_()
         self.pipeline.show_points(asked)
-        rows = frame.counters.numpy().sum(axis=0)
-        return asked.seen.numpy()[: frame.count], dict(zip(COUNTERS, (int(value) for value in rows), strict=True))
+        return asked.seen
+
+    def _counted(self) -> dict[str, int]:
+        rows = self.frame.counters.numpy().sum(axis=0)
+        return dict(zip(COUNTERS, (int(value) for value in rows), strict=True))
 
     def nbytes(self) -> int:
         """Bytes reserved beyond the buffers, on the device and, for rays that are kept, on the host."""

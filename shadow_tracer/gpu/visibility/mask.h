@@ -32,8 +32,10 @@ struct PointMask1 {
 
     inline explicit PointMask1(const Asked& asked)
         : asked(asked), taken(0), hider(-1), open(0), rays(0), tests(0), nodes(0), retested(0), exact(0) {}
+    // Of an image no column: numbers are scattered first (Knuth's multiplicative hash).
+    inline bool chosen(int number) const { return (unsigned)number * 2654435761u % (unsigned)asked.every == 0; }
     inline void take(int number) {
-        if (asked.states.data[number] > SHADOWED)
+        if (asked.states.data[number] > SHADOWED || !chosen(number))
             return;
         ray[0] = number;
         taken = 1;

@@ -69,6 +69,7 @@ class Mask:
     extent: wp.vec3d
     positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
     states: wp.array(dtype=wp.uint8)  # those that are LIT or SHADOWED ask
+    every: int  # and of them one in so many
     seen: wp.array(dtype=wp.uint64)  # the answers: a bit for each point that is seen
     vertices: wp.array(dtype=wp.vec3d)
     triangles: wp.array(dtype=wp.vec3i)

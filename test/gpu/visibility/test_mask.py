@@ -23,6 +23,7 @@ from shadow_tracer import (
     SunDisc,
     TubeLight,
 )
+from shadow_tracer.gpu.engine import area_lights, share
 
 pytestmark = probe.in_both_forms
 
@@ -165,3 +166,39 @@ def test_one_walk_for_all_points(any_device: str) -> None:
     one = tracer.trace(_depth(), _CAMERA, [PointLight("p", (0.25, -1.0, 0.5))]).counters["nodes_visited"]
     all_points = tracer.trace(_depth(), _CAMERA, [_LIGHTS["beside"]]).counters["nodes_visited"]
     assert one < all_points < 6 * one
+
+
+@pytest.mark.parametrize("names", _WALKERS)
+@pytest.mark.parametrize("light", _LIGHTS)
+def test_the_pilot_decides_about_time_alone(
+    any_device: str, names: str, light: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bundle, or rays one by one, as the pilot's count says: the same bits, beside hard lights and others, twice."""
+    monkeypatch.setattr(area_lights, "PILOT", 8)
+    tracer = _tracer(names, any_device)
+    tracer.scene.put("mesh", *_MESHES["soup"])
+    hard = PointLight("p", (0.5, 0.5, 1.0))
+    disc = DiscLight("d", (0.5, -1.0, 1.5), (0.0, 1.0, 0.25), 0.5, samples=9, ignore=["mesh"])
+    found, rays = [], []
+    for most in (1e9, 0.0, 1e9, 0.0):
+        monkeypatch.setattr(area_lights, "MOST_SHOWN", most)
+        frame = tracer.trace(_depth(), _CAMERA, [hard, _LIGHTS[light], disc], Bias(0.02))
+        found.append([frame.visibility(name) for name in frame.names] + [frame.state(name) for name in frame.names])
+        rays.append(frame.counters["nodes_visited"])
+    for other in found[1:]:
+        for mine, others in zip(found[0], other, strict=True):
+            np.testing.assert_array_equal(mine, others)
+    if _LIGHTS[light].samples > 2:
+        assert rays[1] > 1.5 * rays[0], "one by one takes more steps"
+
+
+def test_the_pilot_is_spread_over_the_image(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its samples are those of no column, and one in about so many."""
+    tracer = _tracer("mesh_bvh/refit", any_device)
+    tracer.scene.put("mesh", *_MESHES["soup"])
+    tried: list[dict[str, int]] = []
+    try_out = share.Share.try_out
+    monkeypatch.setattr(share.Share, "try_out", lambda *given: tried.append(try_out(*given)) or tried[-1])
+    monkeypatch.setattr(area_lights, "PILOT", 30)
+    tracer.trace(np.full((30, 40), 3.0, np.float32), _CAMERA, [_LIGHTS["disc"]], 0.0)
+    assert sum(counts["rays"] for counts in tried) in range(20 * 64, 41 * 64)
