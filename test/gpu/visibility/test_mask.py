@@ -126,6 +126,21 @@ def test_points_on_samples_edges_and_corners(any_device: str, names: str) -> Non
         assert np.array_equal(tracer.states_at(points, [sphere], bias), oracle.states_at(points, [sphere], bias))
 
 
+@pytest.mark.parametrize("names", _WALKERS)
+def test_samples_in_the_middle_of_the_light(any_device: str, names: str) -> None:
+    """Rays of hardly any length to the middle, and all around to the points."""
+    tracer, oracle = _tracer(names, any_device), _tracer("light_grid/packed", any_device)
+    panel = RectangleLight("s", (0.25, -0.5, 1.0), (0.75, 0.0, 0.0), (0.0, 0.75, 0.0), two_sided=True)
+    away = 10.0 ** np.arange(-16.0, 0.0)[:, None, None] * np.concatenate([np.eye(3), -np.eye(3)])
+    points = np.concatenate([[panel.position], (panel.position + away).reshape(-1, 3)])
+    for each in (tracer, oracle):
+        each.scene.put("ball", *geometry.icosphere(2, 0.5, (0.25, -0.5, 1.0)))
+        each.scene.put("soup", *_MESHES["soup"])
+    bits = [each.light_bits(points, [panel]) for each in (tracer, oracle)]
+    np.testing.assert_array_equal(*bits)
+    assert 4 < int(bits[0][0, 0]).bit_count() < 60
+
+
 _EXTENDED: dict[str, Any] = {
     "sphere": SphereLight("s", (0.1, -0.2, 0.3), 0.2, samples=64),
     "rectangle": RectangleLight("s", (0.1, -0.2, 0.3), (0.3, 0.1, 0.0), (-0.1, 0.3, 0.0)),

@@ -13,7 +13,10 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "a filter without a pad": ("roundings", [("visibility/queries.py", "MASK_PAD = 1e-14", "MASK_PAD = 0.0")]),
     "any bias": (
         "same_points",
-        [(_MASK, "bias > 0.0 ? Bits(least > 1.000000000001 * bias * most) : other", "other")],
+        [
+            (_MASK, "bias > 0.0 ? Bits(least > 1.000000000001 * bias * most) : other", "other"),
+            (_MASK, "maybe &= ~(same | before);", "maybe &= ~same;"),
+        ],
     ),
     "fronts that cast": ("sequences", [(_MASK, "asked.cull == 0 ? bits(sure) : 0", "bits(sure)")]),
     "one ray for the bundle": (
@@ -32,8 +35,8 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         [("accelerators/segment.h", "beside[k] = WIDER *", "beside[k] = 0.0 *")],
     ),
     "a pyramid for a sample within the light": (
-        "on_samples",
-        [("accelerators/segment.py", "1.00001, 1.0e6", "1.00001, 1.0e300")],
+        "in_the_middle",
+        [("accelerators/segment.h", "const bool cone = faster < STEEPEST;", "const bool cone = true;")],
     ),
     "all points where the middle is": (
         "same_points",
