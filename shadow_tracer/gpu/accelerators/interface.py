@@ -107,8 +107,8 @@ class Accelerator:
     traits = Traits()
 
     def follow(self) -> None:
-        """Make or mend what depends on the occluders alone, for revisions that it was not made for; called once per
-        frame before any light."""
+        """Make or mend what depends on the occluders alone, for revisions that it was not made for; called before
+        any light of a frame, and again when other meshes are left out of the scene, whose revision stays."""
 
     def aim(self, work: Pass) -> None:
         """Make what depends on occluders and lights, unless it is there. Called before ``show``, and once for all that

@@ -50,6 +50,8 @@ def trace_area_lights(
     stages: dict[str, float] = {}
     for batch in tally.batches():
         scene.leave_out(batch.ignored)
+        for share in working:  # here and not in what may be recorded: a replay does not come by
+            share.follow()
         traced = trace(batch.lights, batch.first == 0)
         tally.add(batch, traced.states)
         counters, stages = light_points.add_up(counters, traced.counters), traced.stages
