@@ -33,9 +33,11 @@ class Beam:
 class Structure:
     """A tree whose roots are nodes 0 to 5. The triangles that rays of node k could meet are ``members[first[k]]`` and
     the next ones, ``count[k]`` of them; its children are ``children[32 k + code]``, where it has any: 0 is none, less
-    is one that has been asked for. A node at level LEVELS has none. ``made``: how many nodes there are, while they
-    are asked for more than fit, and how many of these have lists. ``used``: how many members, how many of these the
-    roots have, whether some did not fit, and whether all had been forgotten before these rays. ``asked``: where in ``children`` each node belongs."""
+    is one that has been asked for. A node at level LEVELS has none. ``asked``: where in ``children`` each node belongs.
+
+    ``made``: how many nodes there are, while they are asked for more than fit, and how many of these have lists.
+    ``used``: how many members, how many of these the roots have, whether some did not fit, and whether there were no
+    lists but those of the roots before these rays."""
 
     box: SceneBox
     beams: wp.array(dtype=Beam)
@@ -76,10 +78,10 @@ def forget(always: int, tree: Structure):
 @wp.kernel(enable_backward=False)
 def begin(always: int, tree: Structure):
     """The roots, after ``forget``. One thread."""
-    fresh = forgets(always, tree)
+    forgotten = forgets(always, tree)
     tree.used[2] = 0
-    tree.used[3] = wp.where(fresh, 1, 0)
-    if not fresh:
+    tree.used[3] = wp.where(forgotten or tree.made[0] == _ROOTS, 1, 0)
+    if not forgotten:
         return
     for k in range(_ROOTS):
         beam = Beam()
