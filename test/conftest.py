@@ -124,10 +124,12 @@ def tracers() -> Tracers:
 
 
 # Variants that share most of their code, or are there to be compared with: of each case of the general tests they take
-# turns, two or three of the eleven. The last two are references, slow ones.
-# SHADOW_TRACER_ALL_CASES=1 gives every case to every variant; their own tests and the views always do.
+# turns, two or three of the eleven.
+# SHADOW_TRACER_ALL_CASES=1 gives every case to every variant; their own tests and the views always do, but for the
+# slowest ones, which get few of the slow cases.
 _SISTERS = ("precise", "precise_sorted", "spheres", "spheres_sorted", "precise_sea", "precise_eatp", "precise_seatp")
-_SISTERS += ("spherical", "measured", "exact", "lazy")
+_SLOWEST = ("exact", "lazy")
+_SISTERS += ("spherical", "measured", *_SLOWEST)
 _FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy", "test_probe")
 
 
@@ -138,9 +140,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         mine = not (config.getoption("--kernel-form") and item.get_closest_marker("wide"))
         if os.environ.get("SHADOW_TRACER_ALL_CASES"):
             pass
-        elif variant in _SISTERS and not any(part in item.path.as_posix() for part in _FOR_ALL):
+        elif variant in _SLOWEST or (
+            variant in _SISTERS and not any(part in item.path.as_posix() for part in _FOR_ALL)
+        ):
             case = zlib.crc32(item.nodeid.replace(f"-{variant}", "").encode())
-            mine &= (case + _SISTERS.index(variant)) % 4 == 0
+            turns = 16 if variant in _SLOWEST and item.get_closest_marker("slow") else 4
+            mine &= (case + _SISTERS.index(variant)) % turns == 0
         (kept if mine else left_out).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept
