@@ -32,7 +32,8 @@ class _Copy:
         frame = context.frame
         self.scene = SceneBuffers(context.records.bounds, frame.device)
         host = HostCopies(frame.device, mirrored=False)
-        self.records = TriangleRecords(context.records.bounds, self.scene, frame.light_frame_of, host)
+        lights = [context.records.light_frame(number) for number in range(context.records.bounds.max_lights)]
+        self.records = TriangleRecords(context.records.bounds, self.scene, lights, host)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -75,6 +75,7 @@ struct Profile {
     // To the next line; false if it is known what becomes of the ray.
     inline bool step(int line, int& found) {
         const double begin = v, x1 = line + 1, v1 = v + sweep.drift * (x1 - x);
+        const float* here = heights + sweep.base + (wp::int64)line * sweep.next_line;
         for (;;) {
             int place = (int)floor(v);
             if (v == place && (sweep.drift < 0.0 || (sweep.drift == 0.0 && place == sweep.across - 1)))
@@ -91,10 +92,12 @@ struct Profile {
             const double X1 = x - line, V1 = v - place, X2 = x2 - line, V2 = v2 - place;
             const double one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1,
                          two = sweep.mirrored ? V2 - (1.0 - X2) : V2 - X2;
+            const float* quad = here + (wp::int64)place * sweep.next;
+            const double a = quad[0], b = quad[sweep.next_line], c = quad[sweep.next],
+                         d = quad[sweep.next_line + sweep.next];
             if (one * two < 0.0) {
                 const double share = one / (one - two), X = X1 + share * (X2 - X1);
-                const double z = sweep.mirrored ? (1.0 - X) * at(line, place + 1) + X * at(line + 1, place)
-                                                : (1.0 - X) * at(line, place) + X * at(line + 1, place + 1);
+                const double z = sweep.mirrored ? (1.0 - X) * c + X * b : (1.0 - X) * a + X * d;
                 if (!note(y + sweep.rise * (X - X1) - z, line + X, line, begin, v1, found))
                     return false;
             }
@@ -102,9 +105,7 @@ struct Profile {
             x = x2;
             v = v2;
             const bool end = !(over || under);
-            const double z =
-                end ? (1.0 - V2) * at(line + 1, place) + V2 * at(line + 1, place + 1)
-                    : (1.0 - X2) * at(line, place + (over ? 1 : 0)) + X2 * at(line + 1, place + (over ? 1 : 0));
+            const double z = end ? (1.0 - V2) * b + V2 * d : (1.0 - X2) * (over ? c : a) + X2 * (over ? d : b);
             if (!note(y - z, x, line, begin, v1, found))
                 return false;
             if (end)

@@ -85,7 +85,7 @@ _LANES = wp.constant(16)
 _PAD = 2.0**-6  # steps
 _WEIGHT = 2.0**22
 _STEEPEST = 2.0**16  # steps a line
-_STEPS = 64  # strips
+_STEPS = 32  # strips
 _SHARE = 8  # quads to a sample
 _BIASES = 32.0
 native.constants(SWEEP_BIASES=_BIASES, SWEEP_WEIGHT=_WEIGHT, SWEEP_PAD=_PAD, SWEEP_STEPS=_STEPS, SWEEP_BESIDE=BESIDE)
