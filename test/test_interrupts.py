@@ -112,6 +112,7 @@ _KINDS: list[tuple[str, int, dict[str, Any], str]] = [
     ("mesh_bvh/refit", 1, {}, probe.USUAL),
     ("uniform_grid/dda", 1, {}, probe.USUAL),
     ("hierarchical_grid/nested", 1, {}, probe.CUDA),
+    ("height_field/pyramid", 2, {}, probe.USUAL),
     ("brute_force/filtered", 2, {}, probe.USUAL),
     ("auto/measured", 2, {}, probe.USUAL),
 ]

@@ -15,12 +15,14 @@ from dataclasses import replace
 
 from shadow_tracer.gpu.accelerators.interface import Context, Shared
 from shadow_tracer.gpu.accelerators.registry import make_pipeline
+from shadow_tracer.gpu.accelerators.walker import Walker
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.transfers import HostCopies
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers, Some
 from shadow_tracer.gpu.samples.passes import Pass
+from shadow_tracer.gpu.visibility.queries import ANY_HIT
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
 from shadow_tracer.scene.mesh import Mesh
 
@@ -45,21 +47,27 @@ class Rest:
 
     Args:
         context: that of the accelerator.
-        names: pipeline and variant of the other one, which takes lights one by one and has no further passes.
+        names: pipeline and variant of the other one, a walker.
     """
 
     def __init__(self, context: Context, names: tuple[str, str]) -> None:
         self._whole = context
         self._copy: _Copy = context.shared.take(_Copy, lambda: _Copy(context))
         self._context = replace(context, scene=self._copy.scene, records=self._copy.records, shared=Shared())
-        self.pipeline = make_pipeline(*names, self._context)
+        pipeline = make_pipeline(*names, self._context)
+        assert isinstance(pipeline, Walker)
+        self.pipeline, self._loaded = pipeline, False
         bounds, device = context.frame.bounds, context.frame.device
         self._waiting = None if forms.wide(device) else WaitingPairs(bounds.max_rays, bounds.queue_capacity, device)
 
     def follow(self, meshes: Sequence[Mesh]) -> None:
         """These they are."""
-        self._copy.scene.sync(Some(meshes, self._whole.scene.copied))
+        scene = self._copy.scene
+        scene.sync(Some(meshes, self._whole.scene.copied))
         self.pipeline.follow()
+        if scene.triangle_count and not self._loaded:
+            self.pipeline.walk.load(ANY_HIT, scene.device)
+            self._loaded = True
 
     def aim(self, work: Pass) -> None:
         """Make what depends on a light."""

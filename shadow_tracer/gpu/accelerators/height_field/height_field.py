@@ -66,13 +66,16 @@ class HeightFields(Accelerator):
         self._silent: Silent = context.shared.take(Silent, lambda: Silent(context.records.bounds, context.scene))
         self._sweeps: Sweeps = context.shared.take(Sweeps, lambda: Sweeps(context.records.bounds, context.scene))
         self._rest = Rest(context, ("mesh_bvh", "refit"))
-        self.walk = _SIXTEEN if forms.wide(device) else _ONE
+        self.walk, self._loaded = _SIXTEEN if forms.wide(device) else _ONE, False
 
     def follow(self) -> None:
         """Charts of surfaces that have changed; the others go with the meshes."""
         with self._context.stages.stage("build"):
             self._charts.follow()
         self._rest.follow(self._charts.others)
+        if self._charts.placed and not self._loaded:
+            self.walk.load(IN_PLACE, self._context.frame.device)
+            self._loaded = True
 
     def aim(self, work: Pass) -> None:
         """Records of the meshes, and the sweep of a sun."""
