@@ -290,7 +290,8 @@ def loaded(tracer: ShadowTracer) -> set[Any]:
 def _forget(share: Any) -> None:
     if share._kept is not None:
         share._kept.forget()
-    hints = getattr(getattr(share.pipeline, "_tree", None), "hints", None)  # of mesh_bvh: what hid each ray last
+    pipeline = getattr(getattr(share.pipeline, "_rest", None), "pipeline", share.pipeline)  # of meshes beside surfaces
+    hints = getattr(getattr(pipeline, "_tree", None), "hints", None)  # of mesh_bvh: what hid each ray last
     if hints is not None:
         hints.zero_()
 

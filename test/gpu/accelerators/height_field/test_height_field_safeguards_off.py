@@ -130,6 +130,16 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "out_of_place",
         [(_PROFILE, "!(beside <= SWEEP_BESIDE)", "false")],
     ),
+    "a larger bias than there is": (
+        _SWEPT,
+        "biases",
+        [("visibility/in_place.h", "0.999999999999 * bias", "2.0 * bias")],
+    ),
+    "edges that float64 is sure of": (
+        _SWEPT,
+        "stairs or way_that",
+        [("visibility/in_place.h", "MASK_PAD * Sides::Plane::sum(way)", "0.0")],
+    ),
     "front faces may be culled": (
         _SWEPT,
         "nothing_is_swept",
