@@ -125,29 +125,35 @@ class Sweeps:
         self._made_for: tuple[object, ...] | None = None
 
     def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool) -> None:
-        """Sweep the largest chart of terrain, if that is worth it."""
+        """Sweep the largest chart of terrain, if that is worth it and has not been done."""
+        towards = np.array(light.light)
+        placed = [each for each in charts.placed if each.chart.parallel]
         self.sweep = Sweep()
         self.sweep.number = -1
-        homogeneous = np.array(light.light)
-        placed = [each for each in charts.placed if each.chart.parallel]
-        if cull or homogeneous[3] != 0.0 or not placed:
+        if cull or towards[3] != 0.0 or not placed:
             return
         largest = max(placed, key=lambda each: len(each.mesh.triangles))
         if samples * _SHARE < len(largest.mesh.triangles) // 2:
             return
         number = charts.placed.index(largest)
-        sweep = _sweep(number, charts.on_device[number], homogeneous[:3])
+        sweep = _sweep(number, charts.on_device[number], towards[:3])
         if sweep is None or 3 * sweep.lines * sweep.pitch > len(self.bounds):
             return
-        drift = sweep.drift * (sweep.lines - 1)
-        first, last = math.floor(min(-drift, 0.0)) - 1, math.floor(max(-drift, 0.0)) + sweep.across + 1
-        inputs = [sweep, first, charts.structure.heights, self.bounds]
-        count = last - first + 1
-        if forms.wide(self._scene.device):
-            wp.launch(sweep_band_blocks, dim=-(-count // int(_LANES)), inputs=inputs, device=self._scene.device)
-        else:
-            wp.launch(sweep_bands, dim=count, inputs=inputs, device=self._scene.device)
+        made_for = (*largest.key, *towards)
+        if self._made_for != made_for:
+            self._made_for = None
+            self._launch(sweep, charts)
+            self._made_for = made_for
         self.sweep = sweep
+
+    def _launch(self, sweep: Sweep, charts: Charts) -> None:
+        drift, device = sweep.drift * (sweep.lines - 1), self._scene.device
+        first, last = math.floor(min(-drift, 0.0)) - 1, math.floor(max(-drift, 0.0)) + sweep.across + 1
+        inputs, count = [sweep, first, charts.structure.heights, self.bounds], last - first + 1
+        if forms.wide(device):
+            wp.launch(sweep_band_blocks, dim=-(-count // int(_LANES)), inputs=inputs, device=device)
+        else:
+            wp.launch(sweep_bands, dim=count, inputs=inputs, device=device)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -140,6 +140,11 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "stairs or way_that",
         [("visibility/in_place.h", "MASK_PAD * Sides::Plane::sum(way)", "0.0")],
     ),
+    "a sweep is kept whatever becomes of the surface": (
+        _SWEPT,
+        "same_sun",
+        [(_ROOM + "sweep.py", "made_for = (*largest.key, *towards)", "made_for = (*towards,)")],
+    ),
     "front faces may be culled": (
         _SWEPT,
         "nothing_is_swept",

@@ -118,6 +118,37 @@ def test_it_decides_nearly_all(any_device: str) -> None:
         assert np.array_equal(together.states[0].reshape(-1)[some], alone.states[0].reshape(-1))
 
 
+def test_the_same_sun_over_a_surface_that_changes(any_device: str) -> None:
+    """A sweep is kept for as long as the surface, its place in memory and the sun are the same."""
+    rng = np.random.default_rng(9)
+    ours = surfaces.tracer(any_device, "height_field")
+    pose = np.eye(4)
+    pose[0, 3] = 3.5
+    points = rng.uniform((-2, -22, -3), (25, 2, 4), (2000, 3))
+
+    def field() -> HeightField:
+        return HeightField(surfaces.terrain(rng, 20, 20), 1.0)
+
+    fields = [field() for _ in range(3)]
+    steps: list[Any] = [
+        lambda scene: scene.put_surface("ground", fields[0]),
+        lambda scene: None,
+        lambda scene: scene.deform_surface("ground", fields[1]),
+        lambda scene: scene.move("ground", pose),
+        lambda scene: scene.put_surface("hill", HeightField(fields[2].z[:12, :12], 1.0, (30.0, 0.0, 0.0))),
+        lambda scene: scene.remove("ground"),
+        lambda scene: scene.put_surface("ground", fields[1]),
+        lambda scene: scene.put_surface("ground", fields[2]),
+    ]
+    for number in range(len(steps)):
+
+        def setup(scene: Any, number: int = number) -> None:
+            for step in steps[number : number + 1] if scene is ours.scene else steps[: number + 1]:
+                step(scene)
+
+        agree(any_device, setup, points, [sun(7.0, 130.0)], ours=ours)
+
+
 def test_when_nothing_is_swept(any_device: str) -> None:
     rng = np.random.default_rng(6)
     field = HeightField(surfaces.terrain(rng, 20, 20), 1.0)
