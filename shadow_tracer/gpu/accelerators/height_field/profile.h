@@ -1,6 +1,6 @@
 // needs: accelerators/height_field/place.h
 // arguments: Sweep sweep, DeviceChart chart
-// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE SWEEP_WEIGHT SWEEP_BIASES
+// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE SWEEP_WEIGHT
 // A ray over the heights of a swept chart, strip by strip between two lines, until a bound says what becomes of it; see
 // sweep.py.
 struct Profile {
@@ -9,13 +9,13 @@ struct Profile {
     const float* heights;
     double x, y, v; // where the ray is: along the lines' way, height, across
     double from;    // where along the way it begins to matter
-    double beyond;  // and where the rounding of the bias does not matter any more
-    bool clear;     // it has met nothing so far
-    int side;       // 1: it has been above the surface, -1: below it, where it mattered
-    int strips;     // that it has crossed
+    bool biased;
+    bool clear; // it has met nothing so far
+    int side;   // 1: it has been above the surface, -1: below it, where it mattered
+    int strips; // that it has crossed
 
     inline Profile(const Sweep& sweep, const wp::array_t<float>& heights)
-        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), beyond(0.0), clear(true), side(0),
+        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), biased(false), clear(true), side(0),
           strips(0) {}
     inline double at(int line, int place) const {
         return heights[sweep.base + (wp::int64)line * sweep.next_line + (wp::int64)place * sweep.next];
@@ -66,7 +66,7 @@ struct Profile {
         const double level = y - sweep.rise * line;
         if (clear && level > here[0] + sweep.pad)
             return LIT;
-        if (line < beyond)
+        if (biased)
             return UNDECIDED;
         const bool over = side > 0 && level < here[plane] - sweep.pad;
         const bool under = side < 0 && level > here[2 * plane] + sweep.pad;
@@ -134,8 +134,8 @@ struct Profile {
             corner = p[0] == sample[0] && p[1] == sample[1] && p[2] == sample[2];
         }
         const double bias = sample[3] * sweep.per_metre;
-        from = bias > 0.0 ? x + bias + 0x1p-20 : x;
-        beyond = x + SWEEP_BIASES * bias;
+        biased = bias > 0.0;
+        from = biased ? x + bias + 0x1p-20 : x;
         // Triangles at a corner never hide the corner.
         if (!corner) {
             int line = (int)floor(x), place = (int)floor(v), found;

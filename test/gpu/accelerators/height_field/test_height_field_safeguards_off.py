@@ -116,9 +116,13 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _SWEPT,
         "biases",
         [
-            (_PROFILE, "from = bias > 0.0 ? x + bias + 0x1p-20 : x;", "from = x;"),
-            (_PROFILE, "if (line < beyond)", "if (false)"),
+            (_PROFILE, "from = biased ? x + bias + 0x1p-20 : x;", "from = x;"),
         ],
+    ),
+    "bounds hide what has a bias": (
+        _SWEPT,
+        "stairs",
+        [(_PROFILE, "if (biased)\n            return", "if (false)\n            return")],
     ),
     "what leaves along the border is gone": (
         _SWEPT,

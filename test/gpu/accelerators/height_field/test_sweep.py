@@ -74,16 +74,17 @@ def test_every_way_that_rows_and_columns_go(any_device: str, axes: Any) -> None:
     assert _is_swept(tracer)
 
 
-def test_stairs_that_rays_touch(any_device: str) -> None:
+@pytest.mark.parametrize("bias", [0.0, 1e-4])
+def test_stairs_that_rays_touch(any_device: str, bias: float) -> None:
     """Whole heights and suns of whole slopes: rays pass through positions, and along rows, columns, diagonals and
-    triangles, everywhere."""
+    triangles, everywhere; where heights are rounded, nearly so: with a bias that is a matter of roundings."""
     rng = np.random.default_rng(4)
-    field = HeightField(rng.integers(0, 5, (20, 20)).astype(float), 1.0)
+    field = HeightField(rng.integers(0, 5, (20, 20)).astype(float), 1.0, origin=(1.0, 8.0, 0.001 if bias else 0.0))
     ways = [(x, y, z) for x, y in ((1, 0), (0, 1), (1, 1), (-1, 1), (2, 1), (-1, -2)) for z in (0, 1, -1)]
     points = np.concatenate([field.positions().reshape(-1, 3) + (0, 0, k) for k in (0, 1, 2)])
     lights = [DirectionalLight(f"sun {k}", way) for k, way in enumerate(ways)]
     for some in (lights[:9], lights[9:]):
-        states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, some)
+        states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, some, bias)
         assert _is_swept(tracer) and 0.2 < (states == 1).mean() < 0.9
 
 
