@@ -121,7 +121,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     ),
     "bounds hide what has a bias": (
         _SWEPT,
-        "stairs",
+        "in_the_way",
         [(_PROFILE, "if (biased)\n            return", "if (false)\n            return")],
     ),
     "what leaves along the border is gone": (
@@ -152,7 +152,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "front faces may be culled": (
         _SWEPT,
         "nothing_is_swept",
-        [(_ROOM + "sweep.py", "if cull or homogeneous", "if homogeneous")],
+        [(_ROOM + "sweep.py", "if cull or towards", "if towards")],
     ),
 }
 

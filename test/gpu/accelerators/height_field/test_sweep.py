@@ -88,6 +88,27 @@ def test_stairs_that_rays_touch(any_device: str, bias: float) -> None:
         assert _is_swept(tracer) and 0.2 < (states == 1).mean() < 0.9
 
 
+def test_a_bias_where_a_triangle_is_nearly_in_the_way(any_device: str) -> None:
+    """A ray from below comes out of the surface along a triangle, but for roundings: with a bias, the exact decision
+    compares numbers that are nothing but roundings, and nobody else may say what comes of it."""
+    quarters = [
+        (-2, -1, 0, 0, 2, 1, 2, 4),
+        (-3, -1, 1, 2, 1, 2, 2, 3),
+        (-2, -1, 0, 2, 2, 1, 2, 3),
+        (-1, -1, 1, 2, 2, 1, 1, 2),
+        (-1, 0, 1, 4, 3, 2, 0, -1),
+        (1, 1, 1, 3, 2, 2, 1, 1),
+        (0, 1, 2, 1, 0, 0, 1, 1),
+        (1, 2, 1, 2, 1, 2, 2, 4),
+    ]
+    field = HeightField(np.array(quarters) / 4.0, 1.25, origin=(12.25, -17.0, 0.001))
+    points = field.positions().reshape(-1, 3)
+    light = DirectionalLight("sun", (2, -3, -1))
+    for bias in (0.0, 1e-4):
+        states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, [light], bias)
+        assert _is_swept(tracer) and (states == 1).any()
+
+
 def test_a_hole_lets_the_sun_through(any_device: str) -> None:
     """A wall with a gap, and a wall whose foot is missing: rays below the surface's heights that meet no triangle."""
     z = np.zeros((30, 30))
