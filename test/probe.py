@@ -354,8 +354,9 @@ def _all(tracer: ShadowTracer) -> Any:
 def _forget(band: Any) -> None:
     if band._kept is not None:
         band._kept.forget()
-    if hasattr(band.pipeline, "_hints"):  # of mesh_bvh: what hid each ray last
-        band.pipeline._hints.zero_()
+    walker = getattr(getattr(band.pipeline, "_rest", None), "pipeline", band.pipeline)  # of meshes beside surfaces
+    if hasattr(walker, "_hints"):  # of mesh_bvh: what hid each ray last
+        walker._hints.zero_()
 
 
 def charts(tracer: ShadowTracer) -> tuple[list[str], int]:

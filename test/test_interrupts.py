@@ -116,6 +116,7 @@ _KINDS: list[tuple[str, int, dict[str, Any], str]] = [
     ("octree/parametric", 1, {}, probe.CUDA),
     ("light_buffer/cube", 1, {}, probe.USUAL),
     ("ray_classification/lazy", 1, {}, probe.USUAL),
+    ("height_field/pyramid", 2, {}, probe.USUAL),
     ("brute_force/filtered", 2, {}, probe.USUAL),
     ("auto/measured", 2, {}, probe.USUAL),
 ]

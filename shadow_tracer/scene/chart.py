@@ -116,7 +116,10 @@ def _fit(x: FloatArray, y: FloatArray) -> FloatArray | None:
         return None
     known, plane = np.stack(places, axis=-1), np.stack([x[some][there], y[some][there]], axis=-1)
     middle, at = known.mean(axis=0), plane.mean(axis=0)
-    to_plane, _, rank, _ = np.linalg.lstsq(known - middle, plane - at, rcond=None)
+    try:
+        to_plane, _, rank, _ = np.linalg.lstsq(known - middle, plane - at, rcond=None)
+    except np.linalg.LinAlgError:  # numbers that it cannot calculate with
+        return None
     if rank < 2:
         return None
     forward = to_plane.T

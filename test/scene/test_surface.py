@@ -214,6 +214,12 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[list[float], list[float]]:
     return [float(x.min()), float(x.max())], [float(y.min()), float(y.max())]
 
 
+@pytest.mark.parametrize("scale", [1e-50, 1e-9, 1e9, 1e50])
+def test_charts_of_absurd_sizes_are_charts_or_none(scale: float) -> None:
+    chart = find_chart((scale * _grid(9, 20)).reshape(-1, 3), (9, 20))
+    assert chart is None or np.isfinite(chart.rows).all()
+
+
 @pytest.mark.parametrize("kind", ["folded", "random", "one row", "flat to a line", "none", "behind the camera"])
 def test_surfaces_without_a_chart(kind: str) -> None:
     rng = np.random.default_rng(1)

@@ -15,13 +15,14 @@ from dataclasses import replace
 
 from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.registry import make_pipeline
+from shadow_tracer.gpu.accelerators.walker import Walker
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.shared import Shared
 from shadow_tracer.gpu.device.transfers import HostCopies
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers, Some
-from shadow_tracer.gpu.visibility.queries import Query
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, Query
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
 from shadow_tracer.scene.mesh import Mesh
 
@@ -33,7 +34,8 @@ class _Copy:
         samples = context.samples
         self.scene = SceneBuffers(context.records.bounds, samples.device)
         host = HostCopies(samples.device, mirrored=False)
-        self.records = TriangleRecords(context.records.bounds, self.scene, samples.light_frame_of, host)
+        lights = [context.records.light_frame(number) for number in range(context.records.bounds.max_lights)]
+        self.records = TriangleRecords(context.records.bounds, self.scene, lights, host)
 
     def nbytes(self) -> int:
         """Bytes on the device."""
@@ -45,22 +47,28 @@ class Rest:
 
     Args:
         context: that of the accelerator.
-        names: pipeline and variant of the other one, which takes lights one by one and has no further passes.
+        names: pipeline and variant of the other one, a walker.
     """
 
     def __init__(self, context: Context, names: tuple[str, str]) -> None:
         self._whole = context
         self._copy: _Copy = context.shared.take(_Copy, lambda: _Copy(context))
         self._context = replace(context, scene=self._copy.scene, records=self._copy.records, shared=Shared())
-        self.pipeline = make_pipeline(*names, self._context)
+        pipeline = make_pipeline(*names, self._context)
+        assert isinstance(pipeline, Walker)
+        self.pipeline, self._loaded = pipeline, False
         bounds, device = context.samples.bounds, context.samples.device
         self._waiting = None if forms.wide(device) else WaitingPairs(bounds.max_rays, bounds.queue_capacity, device)
 
     def follow(self, meshes: Sequence[Mesh]) -> None:
         """These they are."""
-        self._copy.scene.leave_out(())
-        self._copy.scene.sync(Some(meshes, self._whole.scene.copied))
+        scene = self._copy.scene
+        scene.leave_out(())
+        scene.sync(Some(meshes, self._whole.scene.copied))
         self.pipeline.follow()
+        if scene.triangle_count and not self._loaded:
+            self.pipeline.build.walk.load(ANY_HIT, scene.device)
+            self._loaded = True
 
     def forget(self) -> None:
         """What depends on the meshes is to be made again."""

@@ -86,6 +86,11 @@ class Walk:
         made._kernels = {**self._kernels, **other._kernels}
         return made
 
+    def load(self, query: Query, device: Any) -> None:
+        """Load its kernels, which several threads must not be the first to launch. A frame sees to that by what it
+        needs itself; this is for walks that a scene may come to need later."""
+        wp.load_module(self._kernels[query.name, forms.wide(device)].module, device, max_workers=0)
+
     def launch(self, query: Query, count: int, structure: Any, asked: Any, device: Any) -> None:
         """Send ``count`` rays through a structure."""
         wide = forms.wide(device)

@@ -1,4 +1,4 @@
-// needs: exact/decision.h
+// needs: exact/decision.h visibility/sides.h
 // arguments: Asked asked
 // constants: SHADOWED RAYS LEAF_TESTS NODES_VISITED RETESTED EXACT COUNTER_ROWS MASK_PAD
 // The query *mask*: which of up to 64 points of a light a sample does not see. All of them in one walk, of the bundle
@@ -48,7 +48,7 @@ struct PointMask1 {
         const wp::vec4d &at = asked.positions.data[ray[0]], &light = asked.middle;
         const wp::vec3d& e = asked.extent;
         middle = wp::vec3d(light[0] - light[3] * at[0], light[1] - light[3] * at[1], light[2] - light[3] * at[2]);
-        farthest = MASK_PAD * (Plane::sum(middle) + Plane::sum(e));
+        farthest = MASK_PAD * (Sides::Plane::sum(middle) + Sides::Plane::sum(e));
         const double length_of_middle = sqrt(middle[0] * middle[0] + middle[1] * middle[1] + middle[2] * middle[2]);
         const double radius = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
         shortest = length_of_middle - radius, longest = length_of_middle + radius;
@@ -62,19 +62,6 @@ struct PointMask1 {
         }
 #endif
     }
-    // A determinant from the sample: three components and the sum of the magnitudes of what they are made of.
-    struct Plane {
-        double x, y, z, size;
-
-        static inline double sum(const wp::vec3d& a) { return fabs(a[0]) + fabs(a[1]) + fabs(a[2]); }
-        static inline Plane through(const wp::vec3d& a, const wp::vec3d& b) {
-            return { a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0], sum(a) * sum(b) };
-        }
-        inline double at(const wp::vec3d& a) const { return x * a[0] + y * a[1] + z * a[2]; }
-    };
-    static inline wp::vec3d between(const wp::vec3d& from, const wp::vec3d& to) {
-        return wp::vec3d(to[0] - from[0], to[1] - from[1], to[2] - from[2]);
-    }
     // The exact decision about light point number k, and where front faces cast nothing about that.
     inline bool hides(int k, const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) {
         const wp::vec4d light = asked.points.data[k];
@@ -87,23 +74,6 @@ struct PointMask1 {
         exact += answer >> 1;
         return answer & 1;
     }
-    // A triangle from the sample: planes through it and the edges, the own one, and on which side of that it is.
-    struct Sides {
-        Plane edge[3], own;
-        double here, reach; // the sample's determinant with the own plane, and what that is a sum of
-        bool sure;
-
-        inline Sides(const wp::vec3d& p, const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) {
-            const wp::vec3d to_a = between(p, a), ab = between(a, b);
-            edge[0] = Plane::through(to_a, ab);
-            edge[1] = Plane::through(between(p, b), between(b, c));
-            edge[2] = Plane::through(between(p, c), between(c, a));
-            own = Plane::through(ab, between(a, c));
-            here = -own.at(to_a);
-            reach = MASK_PAD * own.size * Plane::sum(to_a);
-            sure = fabs(here) > reach;
-        }
-    };
     // Points of the light from the sample: where they are, their distance, and its magnitude times the pad. Of a light
     // at infinity, the ways to them and their lengths: 0 and 1 times a number are exact, contracted or not.
     struct Ways {
@@ -125,7 +95,7 @@ struct PointMask1 {
     struct Span {
         double low, high;
 
-        inline Span(const Plane& plane, const wp::vec3d& middle, const wp::vec3d& e, double far) {
+        inline Span(const Sides::Plane& plane, const wp::vec3d& middle, const wp::vec3d& e, double far) {
             const double at = plane.at(middle), pad = plane.size * far,
                          beside = fabs(plane.x) * e[0] + fabs(plane.y) * e[1] + fabs(plane.z) * e[2];
             low = at - beside - pad, high = at + beside + pad;

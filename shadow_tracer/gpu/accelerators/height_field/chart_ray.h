@@ -38,7 +38,6 @@ struct ChartRay {
         const double along = (double)(rows > columns ? rows : columns);
         const double beyond = 2.0 * CHART_PADDING * along + beside, over = 2.0 * CHART_PADDING * CHART_STEPS;
         double from = 0.0, to = bounded ? 1.0 : HUGE_VAL;
-        clip(at.d - chart.nearest * (1.0 - CHART_PADDING), way.d, from, to);
         clip(at, way, at.s, way.s, -beyond, (double)columns + beyond, from, to);
         clip(at, way, at.t, way.t, -beyond, (double)rows + beyond, from, to);
         clip(at, way, at.h, way.h, -over, CHART_STEPS + over, from, to);

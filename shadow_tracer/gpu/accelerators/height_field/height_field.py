@@ -20,10 +20,11 @@ least D. A ray for which that is above 2^20 is shown all quads (``TOO_FAR``). Be
 2^-30 of exact in these units, for the sample, for every position, and for every point of the ray among them, which is
 the sample's row and a multiple of the direction's. With D at least ``nearest``, s, t and h are then within 2^-29 E.
 
-*Clipping.* The part of a ray that can meet a triangle of the chart satisfies D >= nearest and lies within the rows,
-columns and heights, ``beside`` in hand. Each of these is a linear inequality in the parameter of the ray. They are
-moved outwards by 2^-18 E (and 2^-19 of the least D), which is much more than 2^-29 and what the division rounds: no
-part of that is cut off. A ray that never ends in the chart does not exist; one whose end is not finite is ``TOO_FAR``.
+*Clipping.* The part of a ray that can meet a triangle of the chart lies within the rows, columns and heights,
+``beside`` in hand, and each of these is a linear inequality in the parameter of the ray. They are moved outwards by
+2^-18 E, which is much more than 2^-29 and what the division rounds: no part of that is cut off. What is left has D >
+0: a point with s and t in a range that is not empty has D >= 0, and heights up to 65535 begin at ``nearest``. A ray
+that never ends in the chart does not exist; one whose end is not finite is ``TOO_FAR``.
 
 *Down the nodes.* As in ``segment.py`` the segment's begin and span are rounded to float32, within 1 u E and 2 u E; the
 begin is moved by the padding (1 u E), a plane of a box is subtracted from it, and the difference divided, by way of the
@@ -52,8 +53,8 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.visibility.queries import IN_PLACE, InPlace, Query
 
-_SIXTEEN = Walk("accelerators/height_field/walk16.h", Structure, queries=(IN_PLACE,))
-_ONE = Walk("accelerators/height_field/walk.h", Structure, queries=(IN_PLACE,))
+_SIXTEEN = Walk("accelerators/height_field/down16.h", Structure, queries=(IN_PLACE,))
+_ONE = Walk("accelerators/height_field/down.h", Structure, queries=(IN_PLACE,))
 
 
 class HeightFields(Accelerator):
@@ -66,13 +67,16 @@ class HeightFields(Accelerator):
         self._silent: Silent = context.scene.made.take(Silent, lambda: Silent(context.scene))
         self._sweeps: Sweeps = context.shared.take(Sweeps, lambda: Sweeps(context.records.bounds, context.scene))
         self._rest = Rest(context, ("mesh_bvh", "refit"))
-        self.walk = _SIXTEEN if forms.wide(device) else _ONE
+        self.walk, self._loaded = _SIXTEEN if forms.wide(device) else _ONE, False
 
     def follow(self) -> None:
         """Charts of surfaces that have changed; the others go with the meshes."""
         with self._context.stages.stage("build"):
             self._charts.follow()
         self._rest.follow(self._charts.others)
+        if self._charts.placed and not self._loaded:
+            self.walk.load(IN_PLACE, self._context.samples.device)
+            self._loaded = True
 
     def forget(self) -> None:
         """Charts, and what the meshes go through, are to be made again."""

@@ -1,6 +1,6 @@
 // needs: accelerators/height_field/place.h
 // arguments: Sweep sweep, DeviceChart chart
-// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE SWEEP_WEIGHT SWEEP_BIASES
+// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE SWEEP_WEIGHT
 // A ray over the heights of a swept chart, strip by strip between two lines, until a bound says what becomes of it; see
 // sweep.py.
 struct Profile {
@@ -9,13 +9,13 @@ struct Profile {
     const float* heights;
     double x, y, v; // where the ray is: along the lines' way, height, across
     double from;    // where along the way it begins to matter
-    double beyond;  // and where the rounding of the bias does not matter any more
-    bool clear;     // it has met nothing so far
-    int side;       // 1: it has been above the surface, -1: below it, where it mattered
-    int strips;     // that it has crossed
+    bool biased;
+    bool clear; // it has met nothing so far
+    int side;   // 1: it has been above the surface, -1: below it, where it mattered
+    int strips; // that it has crossed
 
     inline Profile(const Sweep& sweep, const wp::array_t<float>& heights)
-        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), beyond(0.0), clear(true), side(0),
+        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), biased(false), clear(true), side(0),
           strips(0) {}
     inline double at(int line, int place) const {
         return heights[sweep.base + (wp::int64)line * sweep.next_line + (wp::int64)place * sweep.next];
@@ -66,7 +66,7 @@ struct Profile {
         const double level = y - sweep.rise * line;
         if (clear && level > here[0] + sweep.pad)
             return LIT;
-        if (line < beyond)
+        if (biased)
             return UNDECIDED;
         const bool over = side > 0 && level < here[plane] - sweep.pad;
         const bool under = side < 0 && level > here[2 * plane] + sweep.pad;
@@ -75,6 +75,7 @@ struct Profile {
     // To the next line; false if it is known what becomes of the ray.
     inline bool step(int line, int& found) {
         const double begin = v, x1 = line + 1, v1 = v + sweep.drift * (x1 - x);
+        const float* here = heights + sweep.base + (wp::int64)line * sweep.next_line;
         for (;;) {
             int place = (int)floor(v);
             if (v == place && (sweep.drift < 0.0 || (sweep.drift == 0.0 && place == sweep.across - 1)))
@@ -91,10 +92,12 @@ struct Profile {
             const double X1 = x - line, V1 = v - place, X2 = x2 - line, V2 = v2 - place;
             const double one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1,
                          two = sweep.mirrored ? V2 - (1.0 - X2) : V2 - X2;
+            const float* quad = here + (wp::int64)place * sweep.next;
+            const double a = quad[0], b = quad[sweep.next_line], c = quad[sweep.next],
+                         d = quad[sweep.next_line + sweep.next];
             if (one * two < 0.0) {
                 const double share = one / (one - two), X = X1 + share * (X2 - X1);
-                const double z = sweep.mirrored ? (1.0 - X) * at(line, place + 1) + X * at(line + 1, place)
-                                                : (1.0 - X) * at(line, place) + X * at(line + 1, place + 1);
+                const double z = sweep.mirrored ? (1.0 - X) * c + X * b : (1.0 - X) * a + X * d;
                 if (!note(y + sweep.rise * (X - X1) - z, line + X, line, begin, v1, found))
                     return false;
             }
@@ -102,9 +105,7 @@ struct Profile {
             x = x2;
             v = v2;
             const bool end = !(over || under);
-            const double z =
-                end ? (1.0 - V2) * at(line + 1, place) + V2 * at(line + 1, place + 1)
-                    : (1.0 - X2) * at(line, place + (over ? 1 : 0)) + X2 * at(line + 1, place + (over ? 1 : 0));
+            const double z = end ? (1.0 - V2) * b + V2 * d : (1.0 - X2) * (over ? c : a) + X2 * (over ? d : b);
             if (!note(y - z, x, line, begin, v1, found))
                 return false;
             if (end)
@@ -133,8 +134,8 @@ struct Profile {
             corner = p[0] == sample[0] && p[1] == sample[1] && p[2] == sample[2];
         }
         const double bias = sample[3] * sweep.per_metre;
-        from = bias > 0.0 ? x + bias + 0x1p-20 : x;
-        beyond = x + SWEEP_BIASES * bias;
+        biased = bias > 0.0;
+        from = biased ? x + bias + 0x1p-20 : x;
         // Triangles at a corner never hide the corner.
         if (!corner) {
             int line = (int)floor(x), place = (int)floor(v), found;

@@ -32,12 +32,11 @@ is said:
    ``_PAD``, meets a position that is not valid, or has not been decided after ``_STEPS`` strips.
 
 With a bias the ray begins at the sample all the same: a clear one is lit whatever the bias is. The first place where it
-is said to be above or below is at or behind the biased start, so the point in between is behind that. The exact
-decision compares ``abs(A) m`` and ``bias abs(D)``, which float64 gives within 8 * 2^-53 of their permanents, if they
-are more than 1e-15 of these, and exactly otherwise: so either is within 0.53 to 9.1 of what it is. Where *above* or
-*below* decide, nothing is known of the triangle, which may be nearly in the ray's way, so this is only believed from 32
-(``_BIASES``) biases on. Within a strip the difference goes from above ``_PAD`` to below ``-_PAD`` on one triangle: then
-A and D are off, as heights, by 2^-50 of lengths, and the point is at least ``_PAD`` behind the bias.
+is said to be above or below is at or behind the biased start, so the point in between is behind that. But the exact
+decision compares ``abs(A) m`` and ``bias abs(D)`` as float64 gives them, which means nothing where the triangle is
+nearly in the ray's way. So with a bias nothing is hidden by *above* or *below*, which know nothing of the triangle.
+Within a strip the difference goes from above ``_PAD`` to below ``-_PAD`` on one triangle: then A and D are off, as
+heights, by 2^-50 of lengths, and the point is at least ``_PAD`` behind the bias.
 
 A sample that is a position of the surface, to the last bit, touches the triangles around it at their common corner, and
 these never hide it: it is in their planes, which the exact decision finds (A = 0). Such a ray begins at the position,
@@ -85,10 +84,9 @@ _LANES = wp.constant(16)
 _PAD = 2.0**-6  # steps
 _WEIGHT = 2.0**22
 _STEEPEST = 2.0**16  # steps a line
-_STEPS = 64  # strips
+_STEPS = 32  # strips
 _SHARE = 8  # quads to a sample
-_BIASES = 32.0
-native.constants(SWEEP_BIASES=_BIASES, SWEEP_WEIGHT=_WEIGHT, SWEEP_PAD=_PAD, SWEEP_STEPS=_STEPS, SWEEP_BESIDE=BESIDE)
+native.constants(SWEEP_WEIGHT=_WEIGHT, SWEEP_PAD=_PAD, SWEEP_STEPS=_STEPS, SWEEP_BESIDE=BESIDE)
 
 
 @native.func_native("accelerators/height_field/sweep.h", calls="Sweeper1::bands")
@@ -125,29 +123,35 @@ class Sweeps:
         self._made_for: tuple[object, ...] | None = None
 
     def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool) -> None:
-        """Sweep the largest chart of terrain, if that is worth it."""
+        """Sweep the largest chart of terrain, if that is worth it and has not been done."""
+        towards = np.array(light.light)
+        placed = [each for each in charts.placed if each.chart.parallel]
         self.sweep = Sweep()
         self.sweep.number = -1
-        homogeneous = np.array(light.light)
-        placed = [each for each in charts.placed if each.chart.parallel]
-        if cull or homogeneous[3] != 0.0 or not placed or self._scene.left_out:
+        if cull or towards[3] != 0.0 or not placed or self._scene.left_out:
             return
         largest = max(placed, key=lambda each: len(each.mesh.triangles))
         if samples * _SHARE < len(largest.mesh.triangles) // 2:
             return
         number = charts.placed.index(largest)
-        sweep = _sweep(number, charts.on_device[number], homogeneous[:3])
+        sweep = _sweep(number, charts.on_device[number], towards[:3])
         if sweep is None or 3 * sweep.lines * sweep.pitch > len(self.bounds):
             return
-        drift = sweep.drift * (sweep.lines - 1)
-        first, last = math.floor(min(-drift, 0.0)) - 1, math.floor(max(-drift, 0.0)) + sweep.across + 1
-        inputs = [sweep, first, charts.structure.heights, self.bounds]
-        count = last - first + 1
-        if forms.wide(self._scene.device):
-            wp.launch(sweep_band_blocks, dim=-(-count // int(_LANES)), inputs=inputs, device=self._scene.device)
-        else:
-            wp.launch(sweep_bands, dim=count, inputs=inputs, device=self._scene.device)
+        made_for = (*largest.key, *towards)
+        if self._made_for != made_for:
+            self._made_for = None
+            self._launch(sweep, charts)
+            self._made_for = made_for
         self.sweep = sweep
+
+    def _launch(self, sweep: Sweep, charts: Charts) -> None:
+        drift, device = sweep.drift * (sweep.lines - 1), self._scene.device
+        first, last = math.floor(min(-drift, 0.0)) - 1, math.floor(max(-drift, 0.0)) + sweep.across + 1
+        inputs, count = [sweep, first, charts.structure.heights, self.bounds], last - first + 1
+        if forms.wide(device):
+            wp.launch(sweep_band_blocks, dim=-(-count // int(_LANES)), inputs=inputs, device=device)
+        else:
+            wp.launch(sweep_bands, dim=count, inputs=inputs, device=device)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -10,12 +10,8 @@ from mutants import Change, failing_tests
 
 _ROOM = "accelerators/height_field/"
 _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sweep.h"
-_NODES, _CHARTS, _WALKS = _ROOM + "nodes.h", _ROOM + "charts.py", (_ROOM + "walk16.h", _ROOM + "walk.h")
+_NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT = "test_height_field.py", "test_sweep.py"
-
-
-def _in_walks(there: str, instead: str) -> list[Change]:
-    return [(walk, there, instead) for walk in _WALKS]
 
 
 _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
@@ -39,8 +35,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
                 "const float pads[3] = { (float)((CHART_PADDING * along + beside) * 1.0001),",
                 "const float pads[3] = { (float)(CHART_PADDING * along),",
             ),
-            (_RAY, "(float)((CHART_PADDING * along + beside) * 1.0001),\n", "(float)(CHART_PADDING * along),\n"),
-        ][:2],
+        ],
     ),
     "samples of any distance": (
         _FIELD,
@@ -48,11 +43,6 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         [(_RAY, "!(beside < 1.0e29) || !(weight <= 0x1p20)", "false")],
     ),
     "rays end before the light": (_FIELD, "terrain", [(_RAY, "bounded ? 1.0 : HUGE_VAL", "bounded ? 0.5 : 1.0")]),
-    "behind the optical centre as well": (
-        _FIELD,
-        "depth_images",
-        [(_RAY, "clip(at.d - chart.nearest * (1.0 - CHART_PADDING), way.d, from, to);", "")],
-    ),
     "one triangle of a quad": (
         _FIELD,
         "sizes",
@@ -107,11 +97,8 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _SWEPT,
         "suns or every_way",
         [
-            (
-                _PROFILE,
-                "const double one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1, two = sweep.mirrored",
-                "const double one = V1 - X1, two = false",
-            )
+            (_PROFILE, "const double one = sweep.mirrored ?", "const double one = false ?"),
+            (_PROFILE, "two = sweep.mirrored ?", "two = false ?"),
         ],
     ),
     "nothing is too near to call": (_SWEPT, "stairs or suns", [(_ROOM + "sweep.py", "_PAD = 2.0**-6", "_PAD = 0.0")]),
@@ -129,9 +116,13 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _SWEPT,
         "biases",
         [
-            (_PROFILE, "from = bias > 0.0 ? x + bias + 0x1p-20 : x;", "from = x;"),
-            (_PROFILE, "if (line < beyond)", "if (false)"),
+            (_PROFILE, "from = biased ? x + bias + 0x1p-20 : x;", "from = x;"),
         ],
+    ),
+    "bounds hide what has a bias": (
+        _SWEPT,
+        "in_the_way",
+        [(_PROFILE, "if (biased)\n            return", "if (false)\n            return")],
     ),
     "what leaves along the border is gone": (
         _SWEPT,
@@ -143,10 +134,25 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "out_of_place",
         [(_PROFILE, "!(beside <= SWEEP_BESIDE)", "false")],
     ),
+    "a larger bias than there is": (
+        _SWEPT,
+        "biases",
+        [("visibility/in_place.h", "0.999999999999 * bias", "2.0 * bias")],
+    ),
+    "edges that float64 is sure of": (
+        _SWEPT,
+        "stairs or way_that",
+        [("visibility/in_place.h", "MASK_PAD * Sides::Plane::sum(way)", "0.0")],
+    ),
+    "a sweep is kept whatever becomes of the surface": (
+        _SWEPT,
+        "same_sun",
+        [(_ROOM + "sweep.py", "made_for = (*largest.key, *towards)", "made_for = (*towards,)")],
+    ),
     "front faces may be culled": (
         _SWEPT,
         "nothing_is_swept",
-        [(_ROOM + "sweep.py", "if cull or homogeneous", "if homogeneous")],
+        [(_ROOM + "sweep.py", "if cull or towards", "if towards")],
     ),
 }
 

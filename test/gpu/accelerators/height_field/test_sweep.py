@@ -14,6 +14,7 @@ import surfaces
 from surfaces import agree, sun
 
 from shadow_tracer import DirectionalLight, HeightField
+from shadow_tracer.gpu.accelerators.height_field import charts
 
 pytestmark = probe.in_both_forms
 
@@ -74,17 +75,40 @@ def test_every_way_that_rows_and_columns_go(any_device: str, axes: Any) -> None:
     assert _is_swept(tracer)
 
 
-def test_stairs_that_rays_touch(any_device: str) -> None:
+@pytest.mark.parametrize("bias", [0.0, 1e-4])
+def test_stairs_that_rays_touch(any_device: str, bias: float) -> None:
     """Whole heights and suns of whole slopes: rays pass through positions, and along rows, columns, diagonals and
-    triangles, everywhere."""
+    triangles, everywhere; where heights are rounded, nearly so: with a bias that is a matter of roundings."""
     rng = np.random.default_rng(4)
-    field = HeightField(rng.integers(0, 5, (20, 20)).astype(float), 1.0)
+    field = HeightField(rng.integers(0, 5, (20, 20)).astype(float), 1.0, origin=(1.0, 8.0, 0.001 if bias else 0.0))
     ways = [(x, y, z) for x, y in ((1, 0), (0, 1), (1, 1), (-1, 1), (2, 1), (-1, -2)) for z in (0, 1, -1)]
     points = np.concatenate([field.positions().reshape(-1, 3) + (0, 0, k) for k in (0, 1, 2)])
     lights = [DirectionalLight(f"sun {k}", way) for k, way in enumerate(ways)]
     for some in (lights[:9], lights[9:]):
-        states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, some)
+        states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, some, bias)
         assert _is_swept(tracer) and 0.2 < (states == 1).mean() < 0.9
+
+
+def test_a_bias_where_a_triangle_is_nearly_in_the_way(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ray from below comes out of the surface along a triangle, but for roundings: with a bias, the exact decision
+    compares numbers that are nothing but roundings, and nobody else may say what comes of it."""
+    monkeypatch.setattr(charts, "_FEWEST_QUADS", 1)
+    quarters = [
+        (-2, -1, 0, 0, 2, 1, 2, 4),
+        (-3, -1, 1, 2, 1, 2, 2, 3),
+        (-2, -1, 0, 2, 2, 1, 2, 3),
+        (-1, -1, 1, 2, 2, 1, 1, 2),
+        (-1, 0, 1, 4, 3, 2, 0, -1),
+        (1, 1, 1, 3, 2, 2, 1, 1),
+        (0, 1, 2, 1, 0, 0, 1, 1),
+        (1, 2, 1, 2, 1, 2, 2, 4),
+    ]
+    field = HeightField(np.array(quarters) / 4.0, 1.25, origin=(12.25, -17.0, 0.001))
+    points = field.positions().reshape(-1, 3)
+    light = DirectionalLight("sun", (2, -3, -1))
+    for bias in (0.0, 1e-4):
+        states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, [light], bias)
+        assert _is_swept(tracer) and (states == 1).any()
 
 
 def test_a_hole_lets_the_sun_through(any_device: str) -> None:
@@ -111,11 +135,42 @@ def test_it_decides_nearly_all(any_device: str) -> None:
     for elevation in (2.0, 10.0, 45.0):
         light = sun(elevation, 123.0)
         together = probe.trace_points(tracer, points, [light])
-        assert _is_swept(tracer) and together.counters["leaf_tests"] < 0.1 * len(points)
+        assert _is_swept(tracer) and together.counters["leaf_tests"] < 0.15 * len(points)
         some = slice(None, None, 16)
         alone = probe.trace_points(tracer, points[some], [light])
         assert not _is_swept(tracer) and alone.counters["leaf_tests"] > 0.3 * len(points[some])
         assert np.array_equal(together.states[0].reshape(-1)[some], alone.states[0].reshape(-1))
+
+
+def test_the_same_sun_over_a_surface_that_changes(any_device: str) -> None:
+    """A sweep is kept for as long as the surface, its place in memory and the sun are the same."""
+    rng = np.random.default_rng(9)
+    ours = surfaces.tracer(any_device, "height_field")
+    pose = np.eye(4)
+    pose[0, 3] = 3.5
+    points = rng.uniform((-2, -22, -3), (25, 2, 4), (2000, 3))
+
+    def field() -> HeightField:
+        return HeightField(surfaces.terrain(rng, 20, 20), 1.0)
+
+    fields = [field() for _ in range(3)]
+    steps: list[Any] = [
+        lambda scene: scene.put_surface("ground", fields[0]),
+        lambda scene: None,
+        lambda scene: scene.deform_surface("ground", fields[1]),
+        lambda scene: scene.move("ground", pose),
+        lambda scene: scene.put_surface("hill", HeightField(fields[2].z[:12, :12], 1.0, (30.0, 0.0, 0.0))),
+        lambda scene: scene.remove("ground"),
+        lambda scene: scene.put_surface("ground", fields[1]),
+        lambda scene: scene.put_surface("ground", fields[2]),
+    ]
+    for number in range(len(steps)):
+
+        def setup(scene: Any, number: int = number) -> None:
+            for step in steps[number : number + 1] if scene is ours.scene else steps[: number + 1]:
+                step(scene)
+
+        agree(any_device, setup, points, [sun(7.0, 130.0)], ours=ours)
 
 
 def test_when_nothing_is_swept(any_device: str) -> None:
