@@ -3,12 +3,23 @@
 
 from shadow_tracer.depth_camera import DepthCamera, render_depth
 from shadow_tracer.gpu.accelerators.registry import available_pipelines
+from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import BoundsError
-from shadow_tracer.scene.lights import DirectionalLight, PointLight, SphereLight, SpotLight
+from shadow_tracer.scene.lights import (
+    DirectionalLight,
+    DiscLight,
+    PointLight,
+    RectangleLight,
+    SphereLight,
+    SpotLight,
+    SunDisc,
+    TubeLight,
+)
 from shadow_tracer.scene.mesh import Mesh, Scene
-from shadow_tracer.tracer import Bias, Frame, ShadowTracer, State
+from shadow_tracer.tracer import ShadowTracer
+from shadow_tracer.visibility import Frame, State
 
 __version__ = "0.1.0"
 
@@ -19,14 +30,18 @@ __all__ = [
     "Camera",
     "DepthCamera",
     "DirectionalLight",
+    "DiscLight",
     "Frame",
     "Mesh",
     "PointLight",
+    "RectangleLight",
     "Scene",
     "ShadowTracer",
     "SphereLight",
     "SpotLight",
     "State",
+    "SunDisc",
+    "TubeLight",
     "available_pipelines",
     "render_depth",
 ]

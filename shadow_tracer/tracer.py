@@ -8,26 +8,26 @@ imported when a tracer is made, not before.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.gpu.accelerators.registry import AUTO, available_pipelines, resolve
+from shadow_tracer.point_answers import PointAnswers
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
-from shadow_tracer.scene.checks import positions_of, valid_points
-from shadow_tracer.scene.frame_checks import Lights, check_frame, check_lights, check_points
+from shadow_tracer.scene.frame_checks import Lights, check_frame
 from shadow_tracer.scene.lights import Light, PointLight, SphereLight
 from shadow_tracer.scene.mesh import Scene
-from shadow_tracer.visibility import Frame, State
+from shadow_tracer.visibility import Frame
 
 _VERIFIERS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # that verify, if none is named
 
 
-class ShadowTracer:
+class ShadowTracer(PointAnswers):
     """Finds shadows on one device. Not thread-safe: one tracer, one thread.
 
     A frame ends or has never been: after an exception in the middle of one (Ctrl-C, a signal handler that raises) its
@@ -188,73 +188,6 @@ class ShadowTracer:
         self._last.pop(samples, None)
         self._engine.release_samples(samples)
 
-    def occluded(self, points: Any, light: Light, bias: float = 0.0, samples: str = "") -> npt.NDArray[np.bool_]:
-        """Whether each point is in the shadow of ``light``.
-
-        Args:
-            points: (..., 3) positions in the world [m], finite; any leading shape, also none.
-            light: a point, spot or directional light. Points outside its cone or range are not in its shadow.
-            bias: distance from the point towards the light at which occluders begin to count [m].
-            samples: as for :meth:`trace`.
-
-        Returns:
-            Boolean array of the leading shape.
-
-        Raises:
-            ValueError: wrong shape, a value that is not finite (its index is named), or not a light.
-            BoundsError: no set of samples is free.
-        """
-        positions, flat = check_points(points, light)
-        constant = Bias(constant=bias).constant
-        hidden = np.empty(len(flat), dtype=np.bool_)
-        for begin in range(0, len(flat), self._bounds.max_rays):
-            piece = slice(begin, begin + self._bounds.max_rays)
-            hidden[piece] = self._trace_points(flat[piece], [light], constant, None, samples)[0] == State.SHADOWED
-        return hidden.reshape(positions.shape[:-1])
-
-    def states_at(
-        self, points: Any, lights: Iterable[Light], bias: float = 0.0, samples: str = ""
-    ) -> npt.NDArray[np.uint8]:
-        """What is known about each point and light: what :meth:`trace` says of pixels.
-
-        Args:
-            points: (..., 3) positions in the world [m]; any leading shape, also none. Those with a coordinate that is
-                not finite, beyond 1e50 or masked, are INVALID.
-            lights: any iterable of at least one light, with different names.
-            bias: distance from the point towards the light at which occluders begin to count [m].
-            samples: as for :meth:`trace`.
-
-        Returns:
-            (L, ...) uint8 array of :class:`State` values: light after light, each of the leading shape.
-
-        Raises:
-            ValueError: an argument is malformed; the message names it.
-            BoundsError: more lights than declared, or no set of samples is free.
-        """
-        positions, flat = positions_of(points)
-        checked = check_lights(self._bounds, lights)
-        constant = Bias(constant=bias).constant
-        valid = valid_points(flat)
-        if valid is not None:
-            flat = np.where(valid[:, None], flat, 0.0)
-        states = np.empty((len(checked), len(flat)), dtype=np.uint8)
-        for begin in range(0, len(flat), self._bounds.max_rays):
-            piece = slice(begin, begin + self._bounds.max_rays)
-            some = None if valid is None else valid[piece]
-            states[:, piece] = self._trace_points(flat[piece], checked, constant, some, samples)
-        return states.reshape(len(checked), *positions.shape[:-1])
-
-    def _trace_points(
-        self,
-        points: npt.NDArray[np.float64],
-        lights: Sequence[Light],
-        bias: float,
-        valid: npt.NDArray[np.bool_] | None,
-        samples: str,
-    ) -> npt.NDArray[np.uint8]:
-        found = self._engine.trace_points(self.scene, points, lights, bias, valid, self._culling, samples=samples)
-        return found.states
-
     def trace(
         self,
         depth: Any,
@@ -388,10 +321,6 @@ class ShadowTracer:
     ) -> Frame:
         """A frame by the tracer's own pipeline, or by the one that verifies."""
         result = self._engine.trace_depth(self.scene, image, camera, lights, bias, self._culling, verify, samples)
-        reached = {
-            light.name: (result.reached[number].reshape(image.shape), light.samples)
-            for number, light in enumerate(lights)
-            if isinstance(light, SphereLight)
-        }
         names = tuple(light.name for light in lights)
-        return Frame(names, image.shape, result.found, result.stages, result.counters, reached)
+        reaching = {names[number]: found.shaped(image.shape) for number, found in result.reaching.items()}
+        return Frame(names, image.shape, result.found, result.stages, result.counters, reaching)

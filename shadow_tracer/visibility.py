@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
+from shadow_tracer.gpu.visibility.light_bits import Reaching
 from shadow_tracer.gpu.visibility.packed_states import PackedStates, as_bytes
 
 ByteImage = npt.NDArray[np.uint8]
@@ -21,11 +22,32 @@ class State(IntEnum):
     SHADOWED = 1
     """A triangle does."""
     OUTSIDE = 2
-    """The sample is beyond the light's cone or range: not lit, not shadowed, not traced."""
+    """The sample is beyond the light's cone or range, or behind it: not lit, not shadowed, not traced."""
     INVALID = 3
     """The pixel has no depth."""
     PENUMBRA = 4
-    """Some points of a sphere light reach the sample, not all."""
+    """Some points of a light with size reach the sample, not all."""
+
+
+def share_of(states: ByteImage, reaching: Reaching | None) -> npt.NDArray[np.float32]:
+    """The part of a light that reaches samples of these states, NaN where they are INVALID; ``reaching`` is None for a
+    light without size."""
+    share = (states == State.LIT).astype(np.float32) if reaching is None else reaching.share
+    share[states == State.INVALID] = np.nan
+    return share
+
+
+def bits_of(name: str, states: ByteImage, reaching: Reaching | None) -> npt.NDArray[np.uint64]:
+    """Which points of the light ``name`` reach samples of these states; the caller's own.
+
+    Raises:
+        ValueError: it has too many points.
+    """
+    if reaching is None:
+        return (states == State.LIT).astype(np.uint64)
+    if reaching.bits is None:
+        raise ValueError(f"name: expected a light of at most 64 points, got {name!r} with {reaching.samples}")
+    return reaching.bits.copy()
 
 
 class Frame:
@@ -38,7 +60,7 @@ class Frame:
         found: PackedStates | ByteImage,
         stages: dict[str, float],
         counters: dict[str, int],
-        reached: dict[str, tuple[npt.NDArray[np.uint16], int]] | None = None,
+        reaching: dict[str, Reaching] | None = None,
     ) -> None:
         self.names = names
         """Light names in the order given to :meth:`ShadowTracer.trace`."""
@@ -54,7 +76,7 @@ class Frame:
         culled; both of those that the pipeline looked at, which may leave out what is beside all rays."""
         self._shape = shape  # (H, W)
         self._found = found  # (L, H * W) states, or what they can be made of
-        self._reached = reached or {}  # of sphere lights: (H, W) points that reach, and how many there are
+        self._reaching = reaching or {}  # of lights with size: which points reach (H, W) samples
 
     @property
     def _states(self) -> ByteImage:
@@ -67,21 +89,26 @@ class Frame:
 
     def visibility(self, name: str) -> npt.NDArray[np.float32]:
         """(H, W) float32 share of the light ``name`` that reaches each pixel, from 0 to 1: 1 or 0 for lights without
-        size, a multiple of ``1 / samples`` for a sphere; 0 outside the light and where depth is invalid.
+        size, a multiple of ``1 / samples`` for others; 0 outside the light, NaN where depth is invalid.
 
         Raises:
             ValueError: no such light.
         """
-        state = self.state(name)
-        if name not in self._reached:
-            return (state == State.LIT).astype(np.float32)
-        reached, samples = self._reached[name]
-        return reached.astype(np.float32) / np.float32(samples)
+        return share_of(self.state(name), self._reaching.get(name))
+
+    def light_bits(self, name: str) -> npt.NDArray[np.uint64]:
+        """(H, W) uint64: bit i is set where point i of the light ``name`` reaches (its ``points`` or ``directions``);
+        a light without size has one, bit 0. 0 outside the light and where depth is invalid.
+
+        Raises:
+            ValueError: no such light, or one with more than 64 points.
+        """
+        return bits_of(name, self.state(name), self._reaching.get(name))
 
     def mask(self, name: str | None = None, unknown: int = 0) -> ByteImage:
         """(H, W) uint8 visibility mask: 255 lit, 0 in shadow or outside the light, ``unknown`` where depth is invalid.
 
-        In the penumbra of a sphere light it is ``floor(255 * visibility)``, at least 1: 255 means that all of its
+        In the penumbra of a light with size it is ``floor(255 * visibility)``, at least 1: 255 means that all of its
         points reach, 0 that none does.
 
         Args:
@@ -95,7 +122,7 @@ class Frame:
             raise ValueError(f"unknown: expected an integer from 0 to 255, got {unknown!r}")
         lit = self._lit(name)
         mask = np.negative(lit, out=lit)  # 1 becomes 255
-        for soft in self._reached if name is None else self._reached.keys() & {name}:
+        for soft in self._reaching if name is None else self._reaching.keys() & {name}:
             np.maximum(mask, self._penumbra(soft), out=mask)
         if unknown:
             mask |= self._invalid().view(np.uint8) * np.uint8(unknown)  # 0 so far: several times faster than by index
@@ -123,28 +150,28 @@ class Frame:
         return self.names.index(name)
 
     def bits(self) -> npt.NDArray[np.uint16]:
-        """(H, W) uint16 image in which bit i is set where light i (in the order of ``names``) reaches, of a sphere at
-        least one point; up to 16 lights."""
+        """(H, W) uint16 image in which bit i is set where light i (in the order of ``names``) reaches, of one with
+        size at least one point; up to 16 lights."""
         if len(self.names) > 16:
             raise ValueError(f"bits: expected at most 16 lights, got {len(self.names)}")
         bits = np.zeros(self._shape, dtype=np.uint16)
         for index, name in enumerate(self.names):
             reaches = self._lit(name)
-            if name in self._reached:
+            if name in self._reaching:
                 reaches |= self.state(name) == State.PENUMBRA
             bits |= reaches.astype(np.uint16) << np.uint16(index)
         return bits
 
     def _penumbra(self, name: str) -> ByteImage:
-        """(H, W) mask values where some points of the sphere light reach, else 0."""
-        reached, samples = self._reached[name]
+        """(H, W) mask values where some points of the light reach, else 0."""
+        samples = self._reaching[name].samples
         values = np.maximum(np.arange(samples + 1) * 255 // samples, 1)
         values[[0, samples]] = 0
-        return values.astype(np.uint8)[reached]
+        return values.astype(np.uint8)[self._reaching[name].counts]
 
     def differing(self, other: Frame) -> int:
         """In how many (pixel, light) pairs this frame and another one of the same image and lights differ, in state or
-        visibility.
+        in which points of the light reach.
 
         Raises:
             ValueError: the frames have different lights or sizes.
@@ -154,10 +181,10 @@ class Frame:
                 f"other: expected a frame of the lights {list(self.names)} and shape {self._shape}, got one of "
                 f"{list(other.names)} and {other._shape}"
             )
-        mine, others = ({name: soft[1] for name, soft in frame._reached.items()} for frame in (self, other))
+        mine, others = ({name: soft.samples for name, soft in frame._reaching.items()} for frame in (self, other))
         if mine != others:
-            raise ValueError(f"other: expected a frame with samples of sphere lights {mine}, got one with {others}")
+            raise ValueError(f"other: expected a frame with samples of lights {mine}, got one with {others}")
         differ = self._states != other._states
-        for name, (reached, _) in self._reached.items():
-            differ[self.names.index(name)] |= reached != other._reached[name][0]
+        for name, reaching in self._reaching.items():
+            differ[self.names.index(name)] |= reaching.differs(other._reaching[name])
         return int(np.count_nonzero(differ))

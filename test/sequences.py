@@ -16,7 +16,20 @@ import geometry
 import numpy as np
 import probe
 
-from shadow_tracer import Bias, Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SphereLight, SpotLight
+from shadow_tracer import (
+    Bias,
+    Bounds,
+    Camera,
+    DirectionalLight,
+    DiscLight,
+    PointLight,
+    RectangleLight,
+    ShadowTracer,
+    SphereLight,
+    SpotLight,
+    SunDisc,
+    TubeLight,
+)
 
 Change = Callable[[Any], None]  # of a scene
 Rng = np.random.Generator
@@ -216,6 +229,7 @@ def _lights(rng: Rng, plain: bool) -> tuple[Any, ...]:
     if plain:
         return (PointLight("lamp", rng.normal(0.0, 0.5, 3)),)
     made: list[Any] = []
+    other = rng.spawn(1)[0]
     for index in range(int(rng.choice([1, 1, 2, MAX_LIGHTS]))):
         name, position = f"light {index}", rng.normal(0.0, 1.0, 3)
         far = float(rng.choice([6.0, np.inf]))
@@ -227,5 +241,26 @@ def _lights(rng: Rng, plain: bool) -> tuple[Any, ...]:
         elif kind == "sun":
             made.append(DirectionalLight(name, rng.normal(size=3)))
         else:
-            made.append(SphereLight(name, position, float(rng.uniform(0.1, 2.0)), far, samples=int(rng.choice([2, 5]))))
+            radius, samples = float(rng.uniform(0.1, 2.0)), int(rng.choice([2, 5]))
+            made.append(_area_light(other, name, position, radius, far, samples))
+        if other.random() < 0.2:
+            made[-1] = replace(made[-1], ignore=other.choice(list("abcd"), 2).tolist())
     return tuple(made)
+
+
+def _area_light(rng: Rng, name: str, position: np.ndarray, radius: float, far: float, samples: int) -> Any:
+    """Of any shape."""
+    direction, both = geometry.unit(rng.normal(size=3)), bool(rng.random() < 0.5)
+    more: dict[str, Any] = {"range": far, "samples": samples}
+    match rng.choice(["sphere", "disc", "rectangle", "tube", "line", "sun"]):
+        case "sphere":
+            return SphereLight(name, position, radius, **more)
+        case "disc":
+            return DiscLight(name, position, direction, radius, both, **more)
+        case "rectangle":
+            return RectangleLight(name, position, (radius, 0.0, 0.0), (0.0, 0.0, 0.3), both, **more)
+        case "sun":
+            return SunDisc(name, direction, float(rng.choice([0.01, 0.5])), samples)
+        case shape:
+            ends = position - radius * direction, position + radius * direction
+            return TubeLight(name, *ends, 0.1 if shape == "tube" else 0.0, **more)

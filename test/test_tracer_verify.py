@@ -383,5 +383,5 @@ def test_frames_of_a_point_and_a_sphere_of_one_name_cannot_be_compared(any_devic
         assert one.differing(one) == 0
         for other in frames:
             if one is not other:
-                with pytest.raises(ValueError, match="^other: expected a frame with samples of sphere lights"):
+                with pytest.raises(ValueError, match="^other: expected a frame with samples of lights"):
                     one.differing(other)

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shadow_tracer.scene.area_lights import MOST_BITS
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import LARGEST, BoundsError, FloatArray, positions_of, unmasked_depth, valid_points
-from shadow_tracer.scene.lights import DirectionalLight, Light, PointLight, SphereLight, SpotLight
+from shadow_tracer.scene.lights import AreaLight, DirectionalLight, Light, PointLight, SpotLight
 
 _HARD = (PointLight, SpotLight, DirectionalLight)
-_LIGHTS = (*_HARD, SphereLight)
+_LIGHTS = (*_HARD, AreaLight)
 Lights = tuple[Light, ...]
 
 
@@ -91,7 +92,7 @@ def check_points(points: Any, light: Light) -> tuple[FloatArray, FloatArray]:
             f"and {int((~valid).sum())} such points in all; select the finite ones first"
         )
     if not isinstance(light, _HARD):
-        hint = "; states_at says where none, some or all of it reaches" if isinstance(light, SphereLight) else ""
+        hint = "; states_at says where none, some or all of it reaches" if isinstance(light, AreaLight) else ""
         got = type(light).__name__
         raise ValueError(f"light: expected a PointLight, SpotLight or DirectionalLight, got {got}{hint}")
     return positions, flat
@@ -99,5 +100,14 @@ def check_points(points: Any, light: Light) -> tuple[FloatArray, FloatArray]:
 
 def _check_light(light: Any, field: str) -> None:
     if not isinstance(light, _LIGHTS):
-        kinds = "PointLight, SpotLight, DirectionalLight or SphereLight"
-        raise ValueError(f"{field}: expected a {kinds}, got {type(light).__name__}")
+        raise ValueError(f"{field}: expected a light such as PointLight, got {type(light).__name__}")
+
+
+def check_bits(lights: Lights) -> None:
+    """Lights of which each point has a bit. Raises ValueError."""
+    for index, light in enumerate(lights):
+        if isinstance(light, AreaLight) and light.samples > MOST_BITS:
+            raise ValueError(
+                f"lights[{index}]: expected a light of at most {MOST_BITS} points, got {light.name!r} with "
+                f"{light.samples}"
+            )

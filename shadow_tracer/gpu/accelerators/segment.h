@@ -24,15 +24,24 @@ struct Segment {
         from = near > from ? near : from;
         to = far < to ? far : to;
     }
+    // How far rays of the query are beside this one where there may be something, at most.
+    static inline double spread(const Query1& query, const double* start, const SceneBox& box) {
+        if (query.light()[3] != 0.0)
+            return query.spread() * box.inverse_extent;
+        double farthest = 0.0;
+        for (int k = 0; k < 3; ++k)
+            farthest += fabs(start[k]) + box.half[k];
+        return query.spread() * farthest;
+    }
     inline int place(const Query1& query, const SceneBox& box) {
         const wp::vec4d &sample = query.sample(), &light = query.light();
-        const double beside = Query1::SPREADS ? query.spread() * box.inverse_extent * 1.00001 : 0.0;
         double start[3];
         for (int k = 0; k < 3; ++k) {
             start[k] = (sample[k] - box.center[k]) * box.inverse_extent;
             if (!(fabs(start[k]) <= FAR_AWAY))
                 return TOO_FAR;
         }
+        const double beside = Query1::SPREADS ? spread(query, start, box) * 1.00001 : 0.0;
         const wp::vec4d way = LightSide::towards(wp::vec3d(sample[0], sample[1], sample[2]), light);
         from = 0.0;
         to = way[3] * box.inverse_extent;

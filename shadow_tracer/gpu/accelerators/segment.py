@@ -11,7 +11,11 @@ where that would eat the padding, is shown every triangle instead.
 
 A query may be about a bundle of rays from a sample to a sphere of radius R around the light (``query.spread()``). A
 point of such a ray is within R of the point of the middle ray with the same share of the way, so the boxes are met
-within R, taken 1e-5 larger, which is more than what its own roundings may be.
+within R, taken 1e-5 larger, which is more than what its own roundings may be. Of a light at infinity, the rays are p +
+s w with |w - m| <= R and w - m across m, the unit way of the middle ray: what a ray meets at s is at least s away from
+p, along m, so s is at most the distance to the farthest corner of the scene's box, and the point with the same s on the
+middle ray is within R times that. The clipped middle ray reaches as far: it is clipped to the box that is larger by
+that all around.
 
 A query may find out on the way that nothing matters beyond some length (``query.shortened()``). The segment then ends
 there (``shorten``), or a little behind: the length in units of E, less where the box begins, is off by what clipping

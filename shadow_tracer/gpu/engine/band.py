@@ -150,17 +150,16 @@ class Band:
         return further
 
     def see(self, place: int, points: FloatArray) -> tuple[npt.NDArray[np.uint64], dict[str, int]]:
-        """Which of (P, 3) points of a light each sample sees, as bits, and counters; asked by the samples that the
-        light at ``place`` of the batch, which has just been traced, shines on: of others the bits mean nothing."""
+        """Which of (P, 4) homogeneous points of a light each sample sees, as bits, and counters; asked by the samples
+        that the light at ``place`` of the batch, which has just been traced, shines on: of others the bits mean
+        nothing."""
         samples, scene, records = self.samples, self.context.scene, self.context.records
         if scene.triangle_count == 0:
             return np.full(samples.count, (1 << len(points)) - 1, np.uint64), {}
         asked = Mask()
         asked.count, asked.points = len(points), self._points
-        samples.upload(self._points, np.column_stack([points, np.ones(len(points))]))
-        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        asked.middle = wp.vec4d(*middle, 1.0)
-        asked.radius = float(np.linalg.norm(points - middle, axis=1).max()) * (1.0 + 1e-9)
+        samples.upload(self._points, points)
+        asked.middle, asked.radius = _bundle(points)
         asked.positions, asked.states, asked.seen = samples.positions, samples.states_of(place), samples.seen
         asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
         asked.cull, asked.counters = int(records.front_face_culling), samples.counters
@@ -181,3 +180,17 @@ class Band:
         samples = self.samples
         states = samples.states_of(0, lights).numpy().reshape(lights, samples.count)
         into[:, samples.first : samples.first + samples.count] = states
+
+
+def _bundle(points: FloatArray) -> tuple[wp.vec4d, float]:
+    """Of (P, 4) homogeneous points their middle, and how far they are from there at most [m]. At infinity, a way of
+    length 1, and how far the ends of the others, as long as they reach the plane across its end, are from it."""
+    if points[0, 3] != 0.0:
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        return wp.vec4d(*middle), float(np.linalg.norm(points - middle, axis=1).max()) * (1.0 + 1e-9)
+    ways = points[:, :3] / np.linalg.norm(points[:, :3], axis=1)[:, None]
+    middle = ways.sum(axis=0)
+    middle /= np.linalg.norm(middle)
+    ends = ways / (ways @ middle)[:, None]
+    # The middle is off by some roundings, which turn a way by as much.
+    return wp.vec4d(*middle, 0.0), float(np.linalg.norm(ends - middle, axis=1).max()) * (1.0 + 1e-9) + 1e-14

@@ -18,11 +18,11 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import FrameGraphs
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.device.workers import Job, Workers
+from shadow_tracer.gpu.engine.area_lights import trace_area_lights
 from shadow_tracer.gpu.engine.automatic import Chooser, Names, Situation
 from shadow_tracer.gpu.engine.band import Band
 from shadow_tracer.gpu.engine.bands import LEAST, Balance, even_bands
 from shadow_tracer.gpu.engine.gather import Traced, gather_counters, gather_stages, gather_states
-from shadow_tracer.gpu.engine.spheres import trace_spheres
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
 from shadow_tracer.gpu.occluders.changes import Changed, Revision
@@ -31,26 +31,26 @@ from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.anchor import depth_anchor, points_anchor
 from shadow_tracer.gpu.samples.held import Samples, Source
 from shadow_tracer.gpu.samples.sample_set import SampleSet
-from shadow_tracer.gpu.visibility import sphere_points
+from shadow_tracer.gpu.visibility import light_points
 from shadow_tracer.gpu.visibility.packed_states import PackedStates
 from shadow_tracer.gpu.visibility.planes import StatePlanes
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray
-from shadow_tracer.scene.lights import HardLight, Light, SphereLight
+from shadow_tracer.scene.lights import AreaLight, HardLight, Light
 from shadow_tracer.scene.mesh import Scene
 
 # Of frames that need the same kernels of a pipeline: what samples are made of (``Source.name``), or that points of
-# sphere lights are asked for; and whether there are triangles.
+# lights with size are asked for; and whether there are triangles.
 Kind = tuple[str | None, bool]
 Loaded = tuple[Names, str | None, bool]
-_SPHERES = "spheres"
+_POINTS = "points of lights"
 
 
 def kinds_of(source: str | None, lights: Sequence[Light], triangles: bool) -> list[Kind]:
     """What a frame is."""
-    return [(source, triangles), *([(_SPHERES, triangles)] if sphere_points.is_soft(lights) else [])]
+    return [(source, triangles), *([(_POINTS, triangles)] if light_points.is_soft(lights) else [])]
 
 
 class FrameTracer:
@@ -134,8 +134,8 @@ class FrameTracer:
         """Hand the frame to the pipeline that is expected to be the fastest."""
         if self._chooser is None:
             return None
-        look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, SphereLight))
-        count = sum(light.samples if isinstance(light, SphereLight) else 1 for light in lights)
+        look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, AreaLight))
+        count = sum(light.samples if isinstance(light, AreaLight) else 1 for light in lights)
         situation = Situation(change, rays, self._scene.live_triangles, count, look != self._lights)
         self._lights = look
         bands = self._bands_of[self._chooser.choose(situation)]
@@ -248,16 +248,18 @@ class FrameTracer:
     def _trace_all(self, working: list[Band], lights: Sequence[Light], source: Source | None) -> Traced:
         for band in working:
             band.follow()
-        if not sphere_points.is_soft(lights):
+        soft = light_points.is_soft(lights)
+        if not soft and not any(map(light_points.ignored_by, lights)):
             return self._trace_lights(working, lights, source)
 
         def trace(batch: Sequence[HardLight], first: bool) -> Traced:
             return self._trace_lights(working, batch, source if first else None)
 
-        kernels = (working[0].names, _SPHERES, self._scene.triangle_count > 0)
-        self._cold |= kernels not in self._loaded
-        traced = trace_spheres(working, lights, self.bounds.max_lights, trace, self.stages)
-        self._launched(kernels)
+        kernels = (working[0].names, _POINTS, self._scene.triangle_count > 0)
+        self._cold |= soft and kernels not in self._loaded
+        traced = trace_area_lights(working, self._scene, lights, self.bounds.max_lights, trace, self.stages)
+        if soft:
+            self._launched(kernels)
         return traced
 
     def _trace_lights(self, working: list[Band], lights: Sequence[HardLight], source: Source | None) -> Traced:

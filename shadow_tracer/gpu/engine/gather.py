@@ -11,19 +11,20 @@ import numpy.typing as npt
 
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.engine.band import Band
-from shadow_tracer.gpu.visibility import sphere_points
+from shadow_tracer.gpu.visibility.light_bits import Reaching
+from shadow_tracer.gpu.visibility.light_points import add_up
 from shadow_tracer.gpu.visibility.packed_states import PackedStates, as_bytes
 
 
 @dataclass(frozen=True)
 class Traced:
-    """Result of a frame: (L, N) states, milliseconds per stage, counters; for each sphere light by its number (N,) how
-    many of its points reach."""
+    """Result of a frame: (L, N) states, milliseconds per stage, counters; for each light with size, by its number,
+    which of its points reach."""
 
     found: PackedStates | npt.NDArray[np.uint8]
     stages: dict[str, float]
     counters: dict[str, int]
-    reached: dict[int, npt.NDArray[np.uint16]] = field(default_factory=dict)
+    reaching: dict[int, Reaching] = field(default_factory=dict)
 
     @property
     def states(self) -> npt.NDArray[np.uint8]:
@@ -45,7 +46,7 @@ def gather_counters(working: Sequence[Band]) -> dict[str, int]:
     for band in working:
         counters = band.samples.read_counters()
         band.pipeline.learn(counters)
-        total = sphere_points.add_up(total, counters)
+        total = add_up(total, counters)
     return total
 
 

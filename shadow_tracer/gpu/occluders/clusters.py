@@ -12,7 +12,7 @@ import warp as wp
 
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.occluders.changes import Revision
-from shadow_tracer.gpu.occluders.slots import blocks
+from shadow_tracer.gpu.occluders.slots import Ranges, blocks
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 
 CLUSTER = 16  # triangles
@@ -59,19 +59,23 @@ class ClusterBoxes:
     def __init__(self, max_triangles: int, scene: SceneBuffers) -> None:
         self._scene = scene
         self._made_for: Revision | None = None
+        self._left_out: Ranges = ()
         items = -(-max_triangles // (CLUSTER * _BOXES))
         self._boxes = wp.empty(6 * _BOXES * items, dtype=float, device=scene.device)
         self._made = wp.zeros(items, dtype=int, device=scene.device)
 
     def follow(self) -> None:
-        """Boxes of another revision of the scene are not used, where it has changed since."""
+        """Boxes of another revision of the scene are not used, where it has changed since; nor those of what was left
+        out, or is."""
         scene = self._scene
-        if self._made_for == scene.revision:
+        if (self._made_for, self._left_out) == (scene.revision, scene.left_out):
             return
-        made, changed = self._made.numpy(), scene.changed_since(self._made_for)
-        for first, last in blocks(changed.triangles, CLUSTER * _BOXES, scene.triangle_count):
+        made, changed = self._made.numpy(), scene.changed_since(self._made_for).triangles
+        if self._left_out != scene.left_out:
+            changed += self._left_out + scene.left_out
+        for first, last in blocks(changed, CLUSTER * _BOXES, scene.triangle_count):
             made[first:last] = 0
-        self._made_for = scene.revision
+        self._made_for, self._left_out = scene.revision, scene.left_out
 
     def clusters(self) -> Clusters:
         """As kernels see them: ``claim`` and make what is needed."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the triangle records of as many lights as there is room for: made again only when the light, the anchor or the
-culling has changed, or else for the blocks of triangles in which the scene has."""
+"""Keeps the triangle records of as many lights as there is room for: made again only when the light, the anchor, the
+culling or what is left out has changed, or else for the blocks of triangles in which the scene has."""
 
 from __future__ import annotations
 
@@ -121,6 +121,7 @@ class TriangleRecords:
                 tuple(frame.center),
                 frame.inverse_scale,
                 self.front_face_culling,
+                self.scene.left_out,
             )
             place = self.place(frame.number)
             made_for, revision = self._made_for.get(place, ((), None))

@@ -5,14 +5,20 @@ A mesh keeps its range of vertices and its range of triangles while it lives and
 leaves when it goes is a gap: triangles that cast nothing, until another mesh fits in there. All corners of such a
 triangle are vertex 0, which is no mesh's and not a number, so that they may be looked at like any others. When there is
 no gap for a mesh, or gaps are large, all meshes are laid end to end.
+
+Meshes that cast nothing for some lights are left out while these are traced: for so long their triangles are those of a
+gap. What looks at triangles then finds that they cast nothing, and what has been made of the whole scene before only
+holds more than it need.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
@@ -20,7 +26,7 @@ from shadow_tracer.gpu.device.shared import Shared
 from shadow_tracer.gpu.device.transfers import Uploads
 from shadow_tracer.gpu.exact.records import GAP_VERTEX
 from shadow_tracer.gpu.occluders.changes import Changed, History, Revision
-from shadow_tracer.gpu.occluders.slots import Range, Room, merged
+from shadow_tracer.gpu.occluders.slots import Range, Ranges, Room, merged
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, all_three
 from shadow_tracer.scene.mesh import Mesh, Scene
@@ -84,6 +90,7 @@ class _Part:
     topology: int
     vertices: int
     pose: int
+    mesh_triangles: npt.NDArray[np.int32]  # (T, 3) by its own vertices
     mesh_vertices: FloatArray  # (V, 3) in the mesh's own frame
     mesh_pose: FloatArray
     finite: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)  # box of its vertices, once it is known
@@ -109,6 +116,7 @@ class SceneBuffers:
         made: what is made of the scene alone, once for all that ask about it.
         triangle_count, vertex_count: what is looked at: those of meshes and of the gaps between them.
         live_triangles: those of meshes alone.
+        left_out: triangles that cast nothing for the time being, see ``leave_out``.
     """
 
     def __init__(self, bounds: Bounds, device: Any, upload: Uploads | None = None, ordered: bool = False) -> None:
@@ -122,6 +130,7 @@ class SceneBuffers:
         self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
         self.triangle_count = self.vertex_count = self.live_triangles = 0
         self.revision = Revision()
+        self.left_out: Ranges = ()
         self._ordered = ordered
         self._history = History()
         self._box: tuple[Revision, FloatArray, FloatArray] | None = None
@@ -145,6 +154,23 @@ class SceneBuffers:
         if changed is None:
             return Changed(((0, self.triangle_count),), ((0, self.vertex_count),), everything=True)
         return changed
+
+    def leave_out(self, names: Collection[str]) -> None:
+        """From now on the meshes of these names cast nothing, and all others do; the revision stays. Names of no mesh
+        mean nothing. To be ended, by no names, before the next ``sync``."""
+        out = merged(part.slot[1] for name, part in self._parts.items() if name in names)
+        if out == self.left_out:
+            return
+        for name, part in self._parts.items():
+            first, last = part.slot[1]
+            if name in names:
+                self.triangles[first:last].fill_(wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX))
+            elif any(begin < last and first < end for begin, end in self.left_out):
+                self._put_triangles(part.mesh_triangles, part.first_vertex, first)
+        self.left_out = out
+
+    def _put_triangles(self, triangles: npt.NDArray[np.int32], first_vertex: int, first: int) -> None:
+        self.upload(self.triangles, triangles + np.int32(first_vertex), first)
 
     def _begin_anew(self) -> None:
         """What is there is not known: a revision that nothing has been made for."""
@@ -235,7 +261,7 @@ class SceneBuffers:
             and (old.first_vertex, old.first_triangle) == (first_vertex, first_triangle)
         )
         if not placed:
-            self.upload(self.triangles, mesh.triangles + np.int32(first_vertex), first_triangle)
+            self._put_triangles(mesh.triangles, first_vertex, first_triangle)
         moved = not placed or old is None or old.vertices != mesh.vertices_revision
         if moved and not forms.wide(self.device):
             self.upload(self.local, mesh.vertices, first_vertex)
@@ -250,6 +276,7 @@ class SceneBuffers:
             mesh.topology_revision,
             mesh.vertices_revision,
             mesh.pose_revision,
+            mesh.triangles,
             mesh.vertices,
             mesh.pose,
             old.finite if old is not None and old.vertices == mesh.vertices_revision else [],

@@ -44,7 +44,7 @@ struct PointMask1 {
         const wp::vec4d& p = asked.positions.data[ray[0]];
         for (int k = 0; k < asked.count; ++k) {
             const wp::vec4d& light = asked.points.data[k];
-            x[k] = light[0] - p[0], y[k] = light[1] - p[1], z[k] = light[2] - p[2];
+            x[k] = light[0] - light[3] * p[0], y[k] = light[1] - light[3] * p[1], z[k] = light[2] - light[3] * p[2];
             length[k] = sqrt(x[k] * x[k] + y[k] * y[k] + z[k] * z[k]);
             far[k] = MASK_PAD * (fabs(x[k]) + fabs(y[k]) + fabs(z[k]));
         }
@@ -92,14 +92,15 @@ struct PointMask1 {
             sure = fabs(here) > reach;
         }
     };
-    // Points of the light from the sample: where they are, their distance, and its magnitude times the pad.
+    // Points of the light from the sample: where they are, their distance, and its magnitude times the pad. Of a light
+    // at infinity, the ways to them and their lengths: 0 and 1 times a number are exact, contracted or not.
     struct Ways {
         Reals x, y, z, length, far;
     };
     inline Ways ways(int first) const {
 #if defined(__CUDA_ARCH__)
         const wp::vec4d &light = asked.points.data[first], &p = asked.positions.data[ray[0]];
-        const double dx = light[0] - p[0], dy = light[1] - p[1], dz = light[2] - p[2];
+        const double dx = light[0] - light[3] * p[0], dy = light[1] - light[3] * p[1], dz = light[2] - light[3] * p[2];
         return { dx, dy, dz, sqrt(dx * dx + dy * dy + dz * dz), MASK_PAD * (fabs(dx) + fabs(dy) + fabs(dz)) };
 #else
         return { *(const Reals*)(x + first), *(const Reals*)(y + first), *(const Reals*)(z + first),
@@ -107,14 +108,15 @@ struct PointMask1 {
 #endif
     }
     // What the filter says about them: those that are surely hidden, and those that may be.
-    static inline void judge(const Sides& sides, double bias, const Ways& way, Bits& hidden, Bits& maybe) {
+    // w: 1, or 0 for a light at infinity.
+    static inline void judge(const Sides& sides, double bias, double w, const Ways& way, Bits& hidden, Bits& maybe) {
         Reals at[3], pad[3];
         for (int k = 0; k < 3; ++k) {
             at[k] = sides.edge[k].x * way.x + sides.edge[k].y * way.y + sides.edge[k].z * way.z;
             pad[k] = sides.edge[k].size * way.far;
         }
-        const Reals there = sides.here + sides.own.x * way.x + sides.own.y * way.y + sides.own.z * way.z;
-        const Reals off = sides.reach + sides.own.size * way.far;
+        const Reals there = w * sides.here + sides.own.x * way.x + sides.own.y * way.y + sides.own.z * way.z;
+        const Reals off = w * sides.reach + sides.own.size * way.far;
         const Bits inside = (at[0] > pad[0]) | (at[1] > pad[1]) | (at[2] > pad[2]);
         const Bits outside = (at[0] < -pad[0]) | (at[1] < -pad[1]) | (at[2] < -pad[2]);
         const Bits all = ((at[0] > pad[0]) & (at[1] > pad[1]) & (at[2] > pad[2]))
@@ -122,7 +124,7 @@ struct PointMask1 {
         const double side = sides.here > 0.0 ? 1.0 : -1.0, here = fabs(sides.here);
         const Reals behind = -side * there; // of the own plane, seen from the sample
         // The biased start is on the sample's side, too, by more than what either computation may be off.
-        const Reals least = (here - sides.reach) * way.length, most = here + behind + sides.reach + off;
+        const Reals least = (here - sides.reach) * way.length, most = w * (here + sides.reach) + behind + off;
         const Bits same = behind<-off, other = behind> off;
         const Bits after = bias > 0.0 ? Bits(least > 1.000000000001 * bias * most) : other;
         maybe = ~(inside & outside);
@@ -148,7 +150,7 @@ struct PointMask1 {
             if (!mine)
                 continue;
             Bits sure, maybe;
-            judge(sides, at[3], ways(first), sure, maybe);
+            judge(sides, at[3], asked.middle[3], ways(first), sure, maybe);
             wp::uint64 hidden = mine & bits(maybe);
             if (!hidden)
                 continue;
@@ -175,7 +177,8 @@ struct PointMask1 {
                 return;
     }
     inline int triangle_count() const { return asked.triangle_count; }
-    // The sample, the middle of the light, and how far its points are from there [m].
+    // The sample, the middle of the light, and how far its points are from there [m]; at infinity, how far the ends of
+    // the ways to them are from the end of the way to its middle, which has length 1, across that.
     inline const wp::vec4d& sample() const { return asked.positions.data[ray[0]]; }
     inline const wp::vec4d& light() const { return asked.middle; }
     inline double spread() const { return asked.radius; }

@@ -194,11 +194,11 @@ def test_kernels_for_sphere_lights_are_loaded_alone_and_by_warm_up(any_device: s
     loaded.clear()
     tracer.states_at(points, [PointLight("lamp", (0.0, 0.0, 0.1))])
     before = set(loaded)
-    assert all(kinds[1] != "spheres" for kinds in before)
+    assert all(kinds[1] != "points of lights" for kinds in before)
     tracer.states_at(points, [sphere])
-    assert loaded - before == {(tuple(names.split("/")), "spheres", True)}
+    assert loaded - before == {(tuple(names.split("/")), "points of lights", True)}
     loaded.clear()
     tracer.warm_up()
     after = set(loaded)
     tracer.states_at(points, [sphere])
-    assert loaded == after and (tuple(names.split("/")), "spheres", True) in after
+    assert loaded == after and (tuple(names.split("/")), "points of lights", True) in after

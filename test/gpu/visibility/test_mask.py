@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The query *mask*: all points of a sphere light in one walk, against the same points as hard lights."""
+"""The query *mask*: all points of a light in one walk, against the same points as hard lights."""
 
 from __future__ import annotations
 
@@ -10,7 +10,19 @@ import numpy as np
 import probe
 import pytest
 
-from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer, SphereLight, State
+from shadow_tracer import (
+    Bias,
+    Bounds,
+    Camera,
+    DiscLight,
+    PointLight,
+    RectangleLight,
+    ShadowTracer,
+    SphereLight,
+    State,
+    SunDisc,
+    TubeLight,
+)
 
 pytestmark = probe.in_both_forms
 
@@ -43,6 +55,11 @@ _LIGHTS = {
     "wide": SphereLight("s", (0.5, 0.5, 1.0), 30.0, samples=130),
     "tiny": SphereLight("s", (1.0, 1.0, 1.0), 1e-9, samples=2),
     "short": SphereLight("s", (0.25, -1.0, 2.5), 0.75, range=1.5, samples=65),
+    "disc": DiscLight("s", (0.5, -1.0, 1.5), (0.0, 1.0, 0.25), 0.5),
+    "rectangle": RectangleLight("s", (0.25, -1.0, 3.0), (0.5, 0.0, 0.0), (0.0, 0.0, 1.0), two_sided=True, samples=63),
+    "tube": TubeLight("s", (-1.0, -1.0, 1.0), (1.0, -0.5, 3.0), 0.125, range=3.0),
+    "sun": SunDisc("s", (0.25, 1.0, 0.5)),
+    "wide sun": SunDisc("s", (1.0, 1.0, 3.0), 1.5, samples=17),
 }
 
 
@@ -56,6 +73,8 @@ def test_the_same_points_reach_as_hard_lights(any_device: str, mesh: str, light:
         each.scene.put("mesh", *_MESHES[mesh])
     for bias in (Bias(0.0), Bias(0.02)):
         frame, hard = (each.trace(depth, _CAMERA, [sphere], bias) for each in (tracer, oracle))
+        if sphere.samples <= 64:
+            assert np.array_equal(frame.light_bits("s"), hard.light_bits("s"))
         assert np.array_equal(frame.state("s"), hard.state("s"))
         assert np.array_equal(frame.visibility("s"), hard.visibility("s"), equal_nan=True)
         assert np.isin(frame.state("s"), (State.LIT, State.SHADOWED, State.PENUMBRA)).sum() > 100
@@ -106,14 +125,24 @@ def test_points_on_samples_edges_and_corners(any_device: str, names: str) -> Non
         assert np.array_equal(tracer.states_at(points, [sphere], bias), oracle.states_at(points, [sphere], bias))
 
 
+_EXTENDED: dict[str, Any] = {
+    "sphere": SphereLight("s", (0.1, -0.2, 0.3), 0.2, samples=64),
+    "rectangle": RectangleLight("s", (0.1, -0.2, 0.3), (0.3, 0.1, 0.0), (-0.1, 0.3, 0.0)),
+    "line": TubeLight("s", (-0.5, -0.2, 0.3), (0.6, 0.2, 0.2)),
+    "sun": SunDisc("s", (0.25, -0.125, 0.75), 0.125),
+}
+
+
 @pytest.mark.parametrize("names", _WALKERS)
-def test_edges_and_planes_within_roundings_of_rays(any_device: str, names: str) -> None:
+@pytest.mark.parametrize("shape", _EXTENDED)
+def test_edges_and_planes_within_roundings_of_rays(any_device: str, names: str, shape: str) -> None:
     """Triangles with an edge, or their plane, through the ray from a sample to a point of the light, but for the
-    rounding of their corners: no float64 sum tells on which side they are."""
-    rng, sphere = np.random.default_rng(8), SphereLight("s", (0.1, -0.2, 0.3), 0.2, samples=64)
+    rounding of their corners: no float64 sum tells on which side they are.."""
+    rng, light = np.random.default_rng(8), _EXTENDED[shape]
     count = 600
     points = rng.uniform(-1.0, 1.0, (count, 3)) * (3.0, 3.0, 0.5) + (0.0, 0.0, 3.0)
-    ends = sphere.points[rng.integers(0, 64, count)]
+    places = light.homogeneous_points[rng.integers(0, 64, count)]
+    ends = places[:, :3] + (1.0 - places[:, 3:]) * points
     middles = points + rng.uniform(0.2, 0.8, (count, 1)) * (ends - points)
     along, aside = rng.normal(size=(2, count, 3)) * 0.03
     corners = np.stack([middles + along, middles - along, middles + aside], axis=1)
@@ -124,9 +153,9 @@ def test_edges_and_planes_within_roundings_of_rays(any_device: str, names: str) 
     for each in (tracer, oracle):
         each.scene.put("mesh", *mesh)
     for bias in (0.0, 0.3):
-        counts = [probe.trace_points(each, points, [sphere], bias).reached[0] for each in (tracer, oracle)]
-        assert np.array_equal(*counts), bias
-        assert 0.02 < counts[0].mean() / 64 < 0.98
+        bits = [each.light_bits(points, [light], bias) for each in (tracer, oracle)]
+        assert np.array_equal(*bits), bias
+        assert 0.02 < tracer.visibility(points, [light], bias).mean() < 0.98
 
 
 def test_one_walk_for_all_points(any_device: str) -> None:
