@@ -2,11 +2,13 @@
 """Which pixels of a depth image does each light reach? Exact shadows of moving meshes at camera rate."""
 
 from shadow_tracer.depth_camera import DepthCamera, render_depth
+from shadow_tracer.frame_surface import NormalSource
 from shadow_tracer.gpu.accelerators.registry import available_pipelines
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import BoundsError
+from shadow_tracer.scene.intensity_table import IntensityTable
 from shadow_tracer.scene.lights import (
     DirectionalLight,
     DiscLight,
@@ -18,6 +20,7 @@ from shadow_tracer.scene.lights import (
     TubeLight,
 )
 from shadow_tracer.scene.mesh import Mesh, Scene
+from shadow_tracer.scene.strength import Strength
 from shadow_tracer.tracer import ShadowTracer
 from shadow_tracer.visibility import Frame, State
 
@@ -32,7 +35,9 @@ __all__ = [
     "DirectionalLight",
     "DiscLight",
     "Frame",
+    "IntensityTable",
     "Mesh",
+    "NormalSource",
     "PointLight",
     "RectangleLight",
     "Scene",
@@ -40,6 +45,7 @@ __all__ = [
     "SphereLight",
     "SpotLight",
     "State",
+    "Strength",
     "SunDisc",
     "TubeLight",
     "available_pipelines",

@@ -47,9 +47,16 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
         _REGISTRY,
         "shadow_tracer.scene",
     ),
-    "visibility": (_GPU + "visibility.packed_states", _GPU + "visibility.light_bits", "shadow_tracer.scene"),
+    "frame_surface": ("shadow_tracer.depth_camera", "shadow_tracer.scene"),
+    "visibility": (
+        "shadow_tracer.frame_surface",
+        _GPU + "visibility.packed_states",
+        _GPU + "visibility.light_bits",
+        "shadow_tracer.scene",
+    ),
     "point_answers": ("shadow_tracer.visibility", _GPU + "engine", "shadow_tracer.scene"),
     "tracer": (
+        "shadow_tracer.frame_surface",
         "shadow_tracer.visibility",
         "shadow_tracer.point_answers",
         _REGISTRY,
@@ -66,6 +73,7 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
         "shadow_tracer.scene",
     ),
     "__init__": (
+        "shadow_tracer.frame_surface",
         "shadow_tracer.visibility",
         "shadow_tracer.tracer",
         "shadow_tracer.depth_camera",
@@ -105,6 +113,7 @@ _FOREIGN = {
     "scene": ("warp", *_ROS),
     "gpu": _ROS,
     "visibility": ("warp", *_ROS),
+    "frame_surface": ("warp", *_ROS),
     "point_answers": ("warp", *_ROS),
     "tracer": ("warp", *_ROS),
     "self_test": ("warp", *_ROS),
