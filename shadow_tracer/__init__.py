@@ -2,8 +2,10 @@
 """Which pixels of a depth image does each light reach? Exact shadows of moving meshes at camera rate."""
 
 from shadow_tracer.depth_camera import DepthCamera, render_depth
+from shadow_tracer.dose import DoseMap
 from shadow_tracer.frame_surface import NormalSource
 from shadow_tracer.gpu.accelerators.registry import available_pipelines
+from shadow_tracer.planning import Plan, Stop, irradiance_matrix, plan_positions
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
@@ -34,10 +36,12 @@ __all__ = [
     "DepthCamera",
     "DirectionalLight",
     "DiscLight",
+    "DoseMap",
     "Frame",
     "IntensityTable",
     "Mesh",
     "NormalSource",
+    "Plan",
     "PointLight",
     "RectangleLight",
     "Scene",
@@ -45,9 +49,12 @@ __all__ = [
     "SphereLight",
     "SpotLight",
     "State",
+    "Stop",
     "Strength",
     "SunDisc",
     "TubeLight",
     "available_pipelines",
+    "irradiance_matrix",
+    "plan_positions",
     "render_depth",
 ]
