@@ -80,7 +80,7 @@ clean: ## remove what was built, not .venv
 distclean: clean ## remove .venv too
 	rm -rf $(VENV)
 
-# An environment whose Python has gone is made anew, and so is one made with another Python than the PYTHON=... wished for.
+# An environment whose Python has gone is rebuilt, and so is one made with another Python than the PYTHON=... wished for.
 IDENTITY := -c 'import sys; print(sys.base_prefix, sys.version)'
 ifneq ($(shell test -x $(PY) && echo there),there)
 $(VENV)/.made: FORCE

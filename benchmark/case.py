@@ -75,7 +75,7 @@ def shots(view: View, count: int) -> list[Shot]:
 
 
 class Case:
-    """What everybody is measured on.
+    """What all methods are measured on.
 
     Attributes:
         view: mesh, light, bias.

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is how fast on a case. All take turns, frame by frame, so that a busy minute of the machine meets everybody. A
-frame during which another virtual machine had the processor does not count if there are others. Every answer is
+"""The speed of each method on a case. They take turns, frame by frame, so that a busy minute of the machine meets all.
+A frame during which another virtual machine had the processor does not count if there are others. Every answer is
 compared, outside the clock; the time of one that was wrong is not given out."""
 
 from __future__ import annotations

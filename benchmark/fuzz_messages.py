@@ -461,6 +461,28 @@ def _cloud_make(rng: random.Random, number: int) -> Message:
     return Message(cloud)
 
 
+def add_normals(cloud: PointCloud2, axes: str = "xyz", datatype: int = 7, offset: int = 0) -> PointCloud2:
+    """The cloud, its coordinates being its normals as well."""
+    made = [
+        PointField(name=f"normal_{axis}", offset=offset + 4 * "xyz".index(axis), datatype=datatype, count=1)
+        for axis in axes
+    ]
+    cloud.fields = [*cloud.fields, *made]
+    return cloud
+
+
+def _query_make(rng: random.Random, number: int) -> Message:
+    """Half of the clouds have normals, whole or not."""
+    message = _cloud_make(rng, number)
+    cloud = message.payload
+    if not isinstance(cloud, PointCloud2) or rng.random() < 0.5:
+        return message
+    axes, datatype = rng.choice(("xyz", "xyz", "xyz", "xy", "z", "xyzz")), rng.choice((7, 7, 7, 8, 5, 255))
+    offset = rng.choice((0, 0, 0, 1, 2**31))
+    bad = (axes, datatype, offset) != ("xyz", 7, 0) and cloud.width * cloud.height > 0
+    return Message(add_normals(cloud, axes, datatype, offset), message.bad or bad)
+
+
 # Poses
 
 
@@ -510,7 +532,7 @@ INPUTS = (
           with_frame=True, parameters=_TOPIC_POSE),
     Input("light pose", "shadow_tracer/lights/lamp/pose",
           lambda stamp: (pose_msg(stamp, SENDER, LAMP),), _pose_make(SENDER)),
-    Input("query", "query", _cloud_good, _cloud_make),
+    Input("query", "query", _cloud_good, _query_make),
 )  # fmt: skip
 
 

@@ -59,7 +59,7 @@ def _caption(results: dict[str, Any]) -> str:
         f"{name} {machine[name]}" for name, peer in packages.items() if name in machine and peer not in absent
     )
     return (
-        f"{machine['processor']}, {results['threads']} core(s) for everybody, {peers}, commit "
+        f"{machine['processor']}, {results['threads']} core(s) for each method, {peers}, commit "
         f"{machine['commit']}{changed}. Medians; every answer was compared."
     )
 

@@ -164,7 +164,7 @@ def main() -> None:
     parser.add_argument("--json", help="file to write")
     options = parser.parse_args()
     confined = threads(1)
-    title = f"Depth images, {options.size} x {options.size}, one thread for everybody"
+    title = f"Depth images, {options.size} x {options.size}, one thread for each method"
     header(title)
     print(confined + "\n")
     rows: list[dict[str, Any]] = []

@@ -61,7 +61,7 @@ def summary(values: list[float]) -> dict[str, float]:
 def threads(count: int) -> str:
     """Confine this process, with the threads it has and will have, to ``count`` cores; says in words what holds now.
 
-    Call it before anything is measured. It binds everybody alike: us, who use as many threads as there are cores, and
+    Call it before anything is measured. It binds all methods alike: us, who use as many threads as there are cores, and
     Embree, whose build does.
     """
     if not hasattr(os, "sched_setaffinity"):

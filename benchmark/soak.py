@@ -37,7 +37,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from benchmark.faults import PATIENCE, check_end, expected, first_mask
-from benchmark.fuzz_messages import cloud_msg, pose_msg
+from benchmark.fuzz_messages import add_normals, cloud_msg, pose_msg
 from benchmark.fuzz_node import robust_slope
 from shadow_tracer.ros.diagnostics import DEPTH, DEVICE, MESH, PROCESSING
 from shadow_tracer.ros.wire.cdr import encode_mesh
@@ -165,7 +165,8 @@ class Soak:
             self.lamp.publish(pose_msg(self.rig.stamp, "camera", place))
         if rng.random() < 0.05:
             self.asked += 1
-            self.query.publish(cloud_msg(self.patches(rng.choice((0, 1, 100))), self.rig.stamp))
+            points = cloud_msg(self.patches(rng.choice((0, 1, 100))), self.rig.stamp)
+            self.query.publish(add_normals(points) if rng.random() < 0.5 else points)
         if rng.random() < 0.05:
             self.set(**self.any_parameters())
         if rng.random() < 0.02:

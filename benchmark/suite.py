@@ -112,7 +112,7 @@ def arguments() -> tuple[argparse.Namespace, Settings]:
     parser.add_argument("--pipelines", nargs="+", metavar="NAME", help="pipelines, or pipeline/variant")
     parser.add_argument("--frames", type=int, help="frames per figure")
     parser.add_argument("--seconds", type=float, help="seconds after which a figure gets no further frames")
-    parser.add_argument("--threads", type=int, help="cores for everybody, ours and the peers'; default: all there are")
+    parser.add_argument("--threads", type=int, help="cores for each method, ours or a peer's; default: all")
     parser.add_argument("--stages", action="store_true", help="print ours' milliseconds per stage and counters, too")
     parser.add_argument("--out", type=Path, help="folder for results.json and the plots")
     options = parser.parse_args()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sections "scenes" (everybody on every view) and "variants" (every variant of every pipeline on a few)."""
+"""Sections "scenes" (all methods on every view) and "variants" (every variant of every pipeline on a few)."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ class ShadowTracer(PointAnswers):
             self._engine.select(*names)
 
     def warm_up(self) -> float:
-        """Compile or load every kernel by tracing a small scene of its own; returns the seconds it took."""
+        """Compile or load every kernel by tracing a separate small scene; returns the seconds it took."""
         begin = time.perf_counter()
         chooser = self._engine.chooser
         if chooser is None:

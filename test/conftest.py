@@ -8,6 +8,7 @@ import os
 import sys
 import zlib
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import last_bits
@@ -123,24 +124,42 @@ def tracers() -> Tracers:
     return Tracers()
 
 
-# Variants that share most of their code, or are there to be compared with: of each case of the general tests they take
-# turns, two or three of the nine.
+# Of each case of the general tests these get all, in both forms where ``_IN_CUDA_FORM`` says so. All others share most
+# of their code with one of them, or are there to be compared with: they take turns, one case in six for each.
 # SHADOW_TRACER_ALL_CASES=1 gives every case to every variant; their own tests and the views always do.
-_SISTERS = ("precise", "precise_sorted", "spheres", "spheres_sorted", "precise_sea", "precise_eatp", "precise_seatp")
-_SISTERS += ("spherical", "measured")
+_IN_ALL_CASES = ("light_grid-packed", "cone_hierarchy-linear", "mesh_bvh-refit", "brute_force-filtered")
+_TURNS = 6
 _FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy", "test_probe")
+
+
+def _takes_turns(pipeline: str, variant: str, form: str) -> bool:
+    return f"{pipeline}-{variant}" not in _IN_ALL_CASES or (form == probe.CUDA and pipeline == "brute_force")
+
+
+@cache
+def _takers(device: str) -> list[tuple[tuple[str, str, str], str]]:
+    """Those that take turns."""
+    return [(case, form) for case, form in _cases(False) if case[0] == device and _takes_turns(*case[1:], form)]
+
+
+def _turn(item: pytest.Item) -> bool:
+    """Whether a case is one that its variant takes: neighbouring variants take other ones."""
+    params = item.callspec.params  # type: ignore[attr-defined]
+    device, pipeline, variant = case = params["tracer_case"]
+    form = params["kernel_form"]
+    if not _takes_turns(pipeline, variant, form) or any(part in item.path.as_posix() for part in _FOR_ALL):
+        return True
+    name = item.nodeid.replace("-".join(case), "").replace(f"-{probe.CUDA}", "")
+    return (zlib.crc32(name.encode()) + _takers(device).index((case, form))) % _TURNS == 0
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     kept, left_out = [], []
+    all_cases = os.environ.get("SHADOW_TRACER_ALL_CASES")
     for item in items:
-        _, _, variant = getattr(item, "callspec", None) and item.callspec.params.get("tracer_case") or ("", "", "")
         mine = not (config.getoption("--kernel-form") and item.get_closest_marker("wide"))
-        if os.environ.get("SHADOW_TRACER_ALL_CASES"):
-            pass
-        elif variant in _SISTERS and not any(part in item.path.as_posix() for part in _FOR_ALL):
-            case = zlib.crc32(item.nodeid.replace(f"-{variant}", "").encode())
-            mine &= (case + _SISTERS.index(variant)) % 4 == 0
+        if mine and not all_cases and "tracer_case" in getattr(getattr(item, "callspec", None), "params", {}):
+            mine = _turn(item)
         (kept if mine else left_out).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept

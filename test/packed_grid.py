@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import probe
+import probe_accelerators
 
 from shadow_tracer import Bounds, PointLight, ShadowTracer
 from shadow_tracer.gpu.accelerators.interface import Rays
@@ -132,21 +133,17 @@ class Packing:
         lights: tuple[Light, ...] = (OUTSIDE,),
     ) -> Packed:
         """(lights, N, 4) rays in light space; (lights, N) group (all in tiles) and states (all lit)."""
-        engine: Any = self._tracer._engine.inside
-        frame, pipeline = engine._whole, engine._pipeline
+        frame, pipeline = probe.context(self._tracer).samples, probe.pipeline(self._tracer)
         rays = np.ascontiguousarray(rays, np.float32).reshape(len(lights), -1, 4)
         count, everything = rays.shape[1], rays.shape[0] * rays.shape[1]
         frames = tuple(make_light_frame(light, Anchor((0.0, 0.0, 0.0), 1.0), k) for k, light in enumerate(lights))
         frame.set_samples(count, 0)
         frame.set_lights(frames)
-        group = pipeline._admission.groups
+        group = probe_accelerators.admission_groups(pipeline)
         frame.rays[:everything].assign(rays.reshape(-1, 4))
         group[:everything].assign(np.ones(everything, np.uint8) if kind is None else kind.reshape(-1))
         frame.states_of(0, len(lights)).assign(np.zeros(everything, np.uint8) if states is None else states.reshape(-1))
-        tiles = pipeline._buffers.tiles
-        tiles.lights, tiles.samples = len(lights), count
-        pipeline._way.pack(Rays(frames))
-        return read(tiles)
+        return read(probe_accelerators.pack(pipeline, Rays(frames)))
 
 
 # --- scenes that need the pads: 32 samples, each 32 times so that the boxes of its tile hold but one direction ---

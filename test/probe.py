@@ -1,17 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """What tests ask about the inside of a tracer, and do to it, by name: no other file of the suite need know how the
-device side keeps things."""
+device side keeps things. What they ask about one accelerator lies in ``probe_accelerators.py``, about the scene on the
+device in ``probe_occluders.py``.
+
+Unless it says otherwise, an answer is that of the first set of samples, and of the last frame.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
-from shadow_tracer import DepthCamera, ShadowTracer, depth_camera
+from shadow_tracer import DepthCamera, Frame, ShadowTracer, depth_camera
+
+if TYPE_CHECKING:  # what lies in gpu is imported when conftest.py has chosen the form
+    from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
+    from shadow_tracer.gpu.engine.automatic import Chooser, Names
+    from shadow_tracer.gpu.engine.band import Band
+    from shadow_tracer.gpu.engine.bands import Balance
+    from shadow_tracer.gpu.exact.light_frame import Anchor
+    from shadow_tracer.gpu.occluders.world import SceneBuffers
 
 # The form of kernels that the CPU takes in this process, see conftest.py, and that of a CUDA thread.
 USUAL, CUDA = "usual_form", "cuda_form"
@@ -41,7 +53,7 @@ def form(name: str) -> Iterator[None]:
     from shadow_tracer.gpu.device import forms
 
     with pytest.MonkeyPatch.context() as patch, forms.cuda_form():
-        patch.setattr(depth_camera, "_cameras", {})  # render_depth keeps one from call to call, of the other form
+        forget_depth_cameras(patch)  # render_depth keeps one from call to call, of the other form
         yield
 
 
@@ -49,7 +61,7 @@ def wide(device: str) -> bool:
     """Whether kernels on ``device`` take the form of the CPU, not that of a CUDA thread."""
     import warp as wp
 
-    from shadow_tracer.gpu.device import forms  # not before conftest.py has chosen the form
+    from shadow_tracer.gpu.device import forms
 
     return forms.wide(wp.get_device(device))
 
@@ -72,7 +84,7 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
     engine: Any = tracer._engine
     if engine._chooser is not None:
         engine._chooser = type(engine._chooser)(engine._chooser.candidates)
-    for inside in engine._seat.run(engine._found).tracers:
+    for inside in _all(tracer).tracers:
         inside._anchor, inside._lights = None, ()
         inside._samples.forget()
         inside._context.records.forget()
@@ -90,58 +102,163 @@ def trace_points(tracer: ShadowTracer, points: Any, lights: Any, bias: float = 0
     return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid, tracer.front_face_culling)
 
 
-@dataclass(frozen=True)
-class RayTree:
-    """The ray tree of ``cone_hierarchy/linear``, what it was made of, and what a descent takes beside it."""
-
-    tree: Any
-    order: Any
-    frame: Any
-    scene: Any
-    group: Any
-    count: int
-    space: Any
-    occluders: Any
-    answers: Any
+# --- who traces ---
 
 
-def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayTree:
-    """The tree as it is before any triangle has gone through it: descents close nodes that are done."""
-    from shadow_tracer.gpu.exact.faces import Occluders
-    from shadow_tracer.gpu.exact.light_frame import make_light_frame
-    from shadow_tracer.gpu.exact.light_space import make_light_space
+def bands(tracer: ShadowTracer) -> list[Band]:
+    """Those of the pipeline in use; of ``auto``, of the one that was chosen last."""
+    return tracer._engine.inside._bands
 
-    inside: Any = tracer._engine.inside
-    pipeline, taken = inside._pipeline, []
-    pipeline._descend = taken.append
-    tracer.occluded(points, light, bias)
-    del pipeline._descend
-    frame, scene, who = inside._whole, inside._scene, pipeline._admission
-    occluders = Occluders()
-    occluders.count, occluders.triangles = scene.triangle_count, scene.triangles
-    occluders.records, occluders.corners = inside._context.records.memory, pipeline._corners.of(0)
-    space = make_light_space(make_light_frame(light, inside._anchor))
-    tree, answers = pipeline._buffers.tree, pipeline._context.answers(taken[0])
-    found = int(who.counts.numpy()[0])
-    return RayTree(tree, pipeline._order, frame, scene, who.groups, found, space, occluders, answers)
+
+def band_counts(tracer: ShadowTracer) -> dict[Names, int]:
+    """How many bands there are of the pipeline, or of each that ``auto`` chooses among."""
+    return {names: len(bands) for names, bands in tracer._engine.inside._bands_of.items()}
+
+
+def pipeline(tracer: ShadowTracer) -> Any:
+    """The :class:`Accelerator` of the first band."""
+    return bands(tracer)[0].pipeline
+
+
+def context(tracer: ShadowTracer) -> Context:
+    """What pipelines work on: the samples of all bands, the scene, triangle records, and what pipelines share."""
+    return tracer._engine.inside._context
+
+
+def verifier(tracer: ShadowTracer) -> str | None:
+    """Name of the second pipeline, None if there is none."""
+    second, name = _all(tracer).verifier, tracer._engine.verifier
+    assert (set() if second is None else second.pipelines) == (set() if name is None else {name})
+    return name
+
+
+def verifying_pipeline(tracer: ShadowTracer) -> Accelerator:
+    """The second pipeline; there must be one."""
+    return _all(tracer).verifier._bands[0].pipeline
+
+
+def chooser(tracer: ShadowTracer) -> Chooser | None:
+    """Who chooses among the pipelines of ``auto``, for all sets of samples; None for all other pipelines."""
+    found = tracer._engine.chooser
+    assert all(inside._chooser is found for inside in _all(tracer).tracers)
+    return found
+
+
+def calibrated(tracer: ShadowTracer) -> set[Names]:
+    """The candidates of ``auto`` that have been measured on this device."""
+    return set(chooser(tracer)._base)
+
+
+def lessons(who: Chooser, names: Names) -> int:
+    """How many kinds of situations are remembered of a candidate."""
+    return len(who._factors[names])
+
+
+def balances(tracer: ShadowTracer) -> dict[Names, Balance]:
+    """Where images are cut, of each pipeline that has several bands."""
+    return tracer._engine.inside._balances
+
+
+def cut_at(balance: Balance, parts: Any) -> None:
+    """Have the next images cut at these parts of their measurements, ascending, one less than there are bands."""
+    balance._wanted = np.asarray(parts, float)
+
+
+def rays_again(tracer: ShadowTracer) -> list[bool]:
+    """Whether each band has used the rays of an earlier frame again."""
+    return [band._again for band in bands(tracer)]
+
+
+# --- what a frame has found, and where it can be made to fail ---
+
+
+def counters(tracer: ShadowTracer) -> dict[str, int]:
+    """Those of the samples, as they are on the device."""
+    return context(tracer).samples.read_counters()
+
+
+def states(frame: Frame) -> Any:
+    """(L, H, W) states, which are the frame's: to write to them is to falsify the answer."""
+    found = frame._states
+    found.setflags(write=True)
+    return found
+
+
+def light_bits(frame: Frame, light: str) -> Any:
+    """(H, W) which points of a light with size reach each pixel: the frame's own array."""
+    return frame._reaching[light].bits
+
+
+def depth_traces(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Grows by the name of the class of the pipeline whenever a depth image is traced, by whatever tracer."""
+    from shadow_tracer.gpu.engine.frame import FrameTracer
+
+    names: list[str] = []
+    trace_depth = FrameTracer.trace_depth
+
+    def counted(this: Any, *arguments: Any) -> Any:
+        names.append(type(this._pipeline).__name__)
+        return trace_depth(this, *arguments)
+
+    monkeypatch.setattr(FrameTracer, "trace_depth", counted)
+    return names
+
+
+def before_launches(monkeypatch: pytest.MonkeyPatch, do: Callable[[], object]) -> None:
+    """Do something in each frame of any tracer between the uploads and the launches."""
+    from shadow_tracer.gpu.engine.frame import FrameTracer
+
+    launch = FrameTracer._launch
+
+    def after(this: Any, *arguments: Any) -> None:
+        do()
+        launch(this, *arguments)
+
+    monkeypatch.setattr(FrameTracer, "_launch", after)
+
+
+def before_small_scenes(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch, do: Callable[[], object]) -> None:
+    """Do something before each of the small scenes that a warm-up traces, one for each candidate of ``auto``."""
+    trace = tracer._trace_triangle
+
+    def after(*arguments: Any, **named: Any) -> None:
+        do()
+        trace(*arguments, **named)
+
+    monkeypatch.setattr(tracer, "_trace_triangle", after)
+
+
+# --- what is kept, and where it lies ---
+
+
+def anchor(tracer: ShadowTracer) -> Anchor:
+    """What float32 numbers are relative to."""
+    return tracer._engine.inside._anchor
+
+
+def stage_uploads(tracer: ShadowTracer) -> None:
+    """Have uploads go by way of a copy on the host, as to a GPU."""
+    context(tracer).samples.upload._staged = True
+
+
+def fetched(tracer: ShadowTracer) -> set[int]:
+    """Addresses of the arrays on the host into which results are fetched."""
+    return {mirror.ptr for mirror in context(tracer).samples.host._mirrors.values()}
 
 
 def scene_bytes(tracer: ShadowTracer) -> int:
     """Bytes that the scene takes on the device, alone of what all sets of samples share."""
-    engine: Any = tracer._engine
-    return int(engine._seat.run(engine._found).scene.nbytes())
+    return int(_all(tracer).scene.nbytes())
 
 
 def fail_in_a_frame(tracer: ShadowTracer) -> None:
     """Raise ``ZeroDivisionError`` in the middle of a frame."""
-    engine: Any = tracer._engine
-    engine._whole(lambda inside: 1 // 0)
+    tracer._engine._whole(lambda inside: 1 // 0)
 
 
 def structure(tracer: ShadowTracer) -> Any:
     """What the rays of a walker go through, of its only band."""
-    inside: Any = tracer._engine.inside
-    return inside._pipeline.build.structure
+    return pipeline(tracer).build.structure
 
 
 def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
@@ -149,15 +266,13 @@ def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
     only band."""
     from shadow_tracer.gpu.accelerators.closest_hits import ClosestHits
 
-    inside: Any = tracer._engine.inside
-    return ClosestHits(inside._scene, tracer.bounds).render(inside._pipeline, camera)
+    return ClosestHits(context(tracer).scene, tracer.bounds).render(pipeline(tracer), camera)
 
 
 def kept(tracer: ShadowTracer, samples: str) -> tuple[Any, list[tuple[int, int]]]:
     """What a set of samples keeps from frame to frame: its anchor, and the first pixel and number of pixels of each of
     its bands."""
-    engine: Any = tracer._engine
-    inside = engine._seat.run(engine._found).tracers[engine._sets[samples]]
+    inside = _all(tracer).tracers[tracer._engine._sets[samples]]
     return inside._anchor, [(band.samples.first, band.samples.count) for band in inside._bands]
 
 
@@ -168,15 +283,12 @@ def forget(tracer: ShadowTracer, samples: str) -> None:
 
 def forget_anchor(tracer: ShadowTracer) -> None:
     """The anchor of an earlier frame, which serves again where it can, is not used."""
-    inside: Any = tracer._engine.inside
-    inside._anchor = None
+    tracer._engine.inside._anchor = None
 
 
 def recordings(tracer: ShadowTracer) -> int:
     """How many kinds of frames have been recorded."""
-    graphs: Any = tracer._engine.inside._graphs
-    count: int = graphs.recorded()
-    return count
+    return tracer._engine.inside._graphs.recorded()
 
 
 def uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[int]:
@@ -195,83 +307,9 @@ def uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sizes
 
 
-@dataclass(frozen=True)
-class Layout:
-    """How the scene lies in a tracer's buffers.
-
-    Attributes:
-        first: of each mesh its first vertex and its first triangle.
-        looked_at: triangles that are looked at, gaps among them.
-        live: triangles of meshes.
-        places: lights that there are records of at the same time.
-    """
-
-    first: dict[str, tuple[int, int]]
-    looked_at: int
-    live: int
-    places: int
-
-
-def layout(tracer: ShadowTracer) -> Layout:
-    """As of the last frame."""
-    inside: Any = tracer._engine.inside
-    scene = inside._scene
-    first = {name: (part.first_vertex, part.first_triangle) for name, part in scene._parts.items()}
-    return Layout(first, scene.triangle_count, scene.live_triangles, inside._context.records.places)
-
-
-def scene_uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
-    """Grows by what is copied into, or made in, the scene's buffers: which, and how many elements."""
-    inside: Any = tracer._engine.inside
-    scene, found = inside._scene, list[tuple[str, int]]()
-    upload, place = scene.upload, scene._place
-    names = {scene.triangles.ptr: "triangles", scene.local.ptr: "local", scene.vertices.ptr: "world"}
-
-    def counted(destination: Any, source: Any, offset: int = 0) -> None:
-        found.append((names[destination.ptr], len(source)))
-        upload(destination, source, offset)
-
-    def placed(mesh: Any, first: int) -> None:
-        found.append(("placed", len(mesh.vertices)))
-        place(mesh, first)
-
-    monkeypatch.setattr(scene, "upload", counted)
-    monkeypatch.setattr(scene, "_place", placed)
-    return found
-
-
-def remade(tracer: ShadowTracer, trace: Callable[[], object]) -> dict[str, set[int]]:
-    """What ``trace`` makes of the scene: blocks of 128 triangles of which a record is written for any light, such of
-    which corners are; and boxes of 256 triangles, where there are any. Its answers are wrong, and those of the next
-    frame unless the light or all of the scene has changed."""
-    import warp as wp
-
-    from shadow_tracer.gpu.accelerators.light_grid.candidates import CandidateRecords
-    from shadow_tracer.gpu.occluders.corners import Corners
-
-    inside: Any = tracer._engine.inside
-    context, sentinel = inside._context, 7.25
-    boxes, corners = (context.shared.find(kind) for kind in (CandidateRecords, Corners))
-    # The array, and how many of its numbers belong to a light and to what is counted.
-    arrays = {"records": (context.records.memory, 16 * context.records.stride, 16 * 128)}
-    if boxes is not None:
-        arrays["boxes"] = (boxes._boxes._boxes, 1 << 60, 96)
-    if corners is not None:
-        arrays["vertices"] = (corners._vertices, 4 * corners.stride, 4)
-    for name, (array, _, _) in arrays.items():
-        array.fill_(sentinel if name == "boxes" else wp.vec4(sentinel))
-    trace()
-    found = {}
-    for name, (array, apart, size) in arrays.items():
-        written = (array.numpy().reshape(-1) != sentinel).nonzero()[0]
-        found[name] = {int(number) % apart // size for number in written}
-    return found
-
-
 def tree_builds(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """Grows whenever the tree of ``mesh_bvh`` is made for another scene: whether it has been built or refitted."""
-    inside: Any = tracer._engine.inside
-    tree, builds = inside._pipeline.build, list[bool]()
+    tree, builds = pipeline(tracer).build, list[bool]()
     make_tree = tree._make_tree
 
     def counted(rebuild: bool) -> None:
@@ -282,6 +320,16 @@ def tree_builds(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[b
     return builds
 
 
+def depth_camera_scene(camera: DepthCamera) -> SceneBuffers:
+    """The scene of a depth camera on the device."""
+    return camera._rays.scene
+
+
+def forget_depth_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have ``render_depth`` make another one, and keep none of those that it makes meanwhile."""
+    monkeypatch.setattr(depth_camera, "_cameras", {})
+
+
 def kept_depth_camera(device: str) -> DepthCamera | None:
     """The one that ``render_depth`` keeps from call to call."""
     return depth_camera._cameras.get(device)
@@ -290,6 +338,12 @@ def kept_depth_camera(device: str) -> DepthCamera | None:
 def loaded(tracer: ShadowTracer) -> set[Any]:
     """What has been launched on the tracer's device, in the tracer's form, by anybody."""
     return tracer._engine._seat.loaded
+
+
+def _all(tracer: ShadowTracer) -> Any:
+    """Everything on the device, made again if a frame has not ended."""
+    engine = tracer._engine
+    return engine._seat.run(engine._found)
 
 
 def _forget(band: Any) -> None:

@@ -11,12 +11,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import probe
 import pytest
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer, depth_camera, render_depth
 from shadow_tracer.gpu.device import seats
 from shadow_tracer.gpu.device.workers import Workers
-from shadow_tracer.gpu.engine import frame
 
 _BOUNDS = Bounds(max_triangles=1000, max_rays=400_000, max_lights=2, queue_capacity=4096, grid_entries=65536)
 _CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
@@ -70,19 +70,17 @@ def test_a_fork_in_the_middle_of_a_frame(threads: int, monkeypatch: pytest.Monke
     """Another thread of the parent is tracing; in the child its frame never ends."""
     tracer, inside, may_end = _tracer(threads), threading.Event(), threading.Event()
     expected = _lit(tracer)
-    launch = frame.FrameTracer._launch
 
-    def waits(this: Any, *arguments: Any) -> None:
+    def waits() -> None:
         inside.set()
         assert may_end.wait(2 * _PATIENCE)
-        launch(this, *arguments)
 
-    monkeypatch.setattr(frame.FrameTracer, "_launch", waits)
     thread = threading.Thread(target=_lit, args=(tracer,))
-    thread.start()
     try:
-        assert inside.wait(_PATIENCE)
-        monkeypatch.setattr(frame.FrameTracer, "_launch", launch)
+        with monkeypatch.context() as patch:
+            probe.before_launches(patch, waits)
+            thread.start()
+            assert inside.wait(_PATIENCE)
         assert _in_child(lambda: _lit(tracer)) == expected
     finally:
         may_end.set()

@@ -208,6 +208,7 @@ def test_results_are_the_callers_own(pipeline: str, graphs: bool) -> None:
         return [
             *(frame.state(name) for name in frame.names),
             *(frame.visibility(name) for name in frame.names),
+            *(frame.light_bits(name) for name in frame.names),
             *(frame.mask(name, unknown=128) for name in (*frame.names, None)),
             frame.bits(),
         ]
@@ -216,7 +217,8 @@ def test_results_are_the_callers_own(pipeline: str, graphs: bool) -> None:
     for result in results():
         if result.flags.writeable:
             result[...] = 7
-    assert all(np.array_equal(mine, others) for mine, others in zip(results(), before, strict=True))
+    for mine, others in zip(results(), before, strict=True):
+        np.testing.assert_array_equal(mine, others)
     assert tracer.verify(image, _CAMERA, _LIGHTS) == 0
     points = _CAMERA.unproject(np.full((48, 64), 3.0))
     states, hidden = tracer.states_at(points, _LIGHTS), tracer.occluded(points, _LIGHTS[0])

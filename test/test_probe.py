@@ -66,7 +66,8 @@ def test_a_used_tracer_is_brought_to_the_state_of_a_fresh_one(tracer: Any, trace
 @pytest.mark.parametrize("names", ["cone_hierarchy/precise_sorted", "mesh_bvh/refit"])
 def test_without_the_reset_counts_depend_on_earlier_frames(names: str) -> None:
     """Proof that the test above sees: an empty scene alone is not the state of a fresh tracer."""
-    tracer = ShadowTracer(*names.split("/"), device="cpu")
+    # In one band: where several are cut depends on times, and may be where the fresh one's are.
+    tracer = ShadowTracer(*names.split("/"), device="cpu", threads=1)
     expected = _counters(tracer)
     _use(tracer)
     tracer.scene.clear()

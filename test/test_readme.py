@@ -117,6 +117,18 @@ def test_the_readme_is_short() -> None:
     assert len(lines) == 12, "it says twelve lines"
     ros = section(README, "## Six lines of ROS").split("```")[1]
     assert len(ros.strip().splitlines()) == 6, "it says six lines"
+    bullets = re.findall(r"^- \*\*(\w+)", section(README, "## Why this one"), re.MULTILINE)
+    assert bullets == ["Exact", "Dynamic", "Honest"]
+
+
+def test_the_readme_counts_the_lines_of_the_page_on_testing() -> None:
+    code = blocks(DOCS / "testing.md", "python test")
+    assert len(code) == 1
+    assert len([line for line in code[0].splitlines() if line.strip()]) == 20, "it says twenty lines"
+
+
+def test_the_glossary_is_short() -> None:
+    assert 12 <= len(rows(section(ROOT / "CONTRIBUTING.md", "## Words"))) <= 20
 
 
 @pytest.mark.ros
@@ -220,7 +232,7 @@ def topics_of(listed: list[tuple[str, list[str]]]) -> dict[str, str]:
     for name, (kind, *_) in listed:
         if name in ("/rosout", "/parameter_events", "/clock"):
             continue
-        name = name.replace("/mask/lamp", "/mask/<light>").replace("/lights/lamp/", "/lights/<light>/")
+        name = re.sub("/(mask|visibility)/lamp", r"/\1/<light>", name).replace("/lights/lamp/", "/lights/<light>/")
         topics[re.sub("^/shadow_tracer/", "~/", name)] = re.sub("/(msg|srv)/", "/", kind)
     return topics
 

@@ -125,6 +125,25 @@ def test_what_rays_walk_through_is_built_once(pipeline: str, any_device: str) ->
     assert [built("left"), built("right")] == [True, False]
 
 
+def test_each_set_judges_a_refitted_tree_by_its_own_frames(monkeypatch: pytest.MonkeyPatch, any_device: str) -> None:
+    """One camera's rays meet many triangles, the other's none: that wears no tree out."""
+    tracer = _tracer("mesh_bvh", any_device)
+    vertices, triangles = geometry.soup(np.random.default_rng(3), 1900, 0.02, 1.5)
+    vertices = vertices + (0.0, 0.0, 2.0)
+    tracer.scene.put("ball", vertices, triangles)
+    away = Camera(90, 120, 100.0, 90.0, 44.5, 59.5, geometry.pose_of(np.eye(3), (50.0, 0.0, 0.0)))
+    tests = {"left": 0.0, "away": 0.0}
+    rebuilt = probe.tree_builds(tracer, monkeypatch)
+    for step in range(6):
+        tracer.scene.deform("ball", vertices + (0.001 * step, 0.0, 0.0))
+        for name, camera in {"away": away, "left": _CAMERAS["left"]}.items():
+            counters = tracer.trace(np.full((camera.height, camera.width), 4.0, np.float32), camera, _LIGHTS[:1],
+                                    samples=name).counters  # fmt: skip
+            tests[name] = counters["leaf_tests"] / counters["rays"]
+    assert tests["left"] > 2.0 * max(1.0, tests["away"])
+    assert rebuilt == [True, False, False, False, False, False]
+
+
 def test_one_set_too_many_is_refused(any_device: str) -> None:
     tracer, camera = _tracer(device=any_device), _CAMERAS["left"]
     tracer.warm_up()  # which needs no set

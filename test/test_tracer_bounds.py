@@ -160,7 +160,7 @@ def test_buffers_do_not_grow(tracer_case: tuple[str, str, str]) -> None:
     tracer, _ = _full_tracer(tracer_case)
     rng = np.random.default_rng(91)
     _, camera, depth = _uncertain()
-    chooser = tracer._engine.chooser
+    chooser = probe.chooser(tracer)
 
     def work(frames: int) -> int:
         for k in range(frames):

@@ -251,8 +251,7 @@ def test_verify_counts_visibilities(any_device: str) -> None:
     tracer.scene.put("scene", *_scene())
     frame = tracer.trace(_depth(), _CAMERA, _LIGHTS, _BIAS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS, _BIAS) == 0
-    bits = frame._reaching["lamp"].bits
-    assert bits is not None
+    bits = probe.light_bits(frame, "lamp")
     darker = np.argwhere(frame.state("lamp") == State.PENUMBRA)[:6]
     bits[tuple(darker.T)] &= bits[tuple(darker.T)] - np.uint64(1)  # one point less
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS, _BIAS) == len(darker) == 6

@@ -23,7 +23,6 @@ from shadow_tracer import (
     State,
     available_pipelines,
 )
-from shadow_tracer.gpu.engine import frame
 
 _BOUNDS = Bounds(max_triangles=3000, max_rays=2000, max_lights=4, queue_capacity=4000, grid_entries=20_000)
 _CAMERA = Camera(40, 30, 35.0, 36.0, 19.25, 14.75, geometry.look_at((-8.0, 0.3, 2.0), (0.0, 0.0, 1.0), (0, 0, 1)))
@@ -61,20 +60,6 @@ def _tracer(names: str, device: str, graphs: bool | None = None) -> ShadowTracer
     return tracer
 
 
-class _Traces:
-    """Which pipelines traced depth images, in order."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.names: list[str] = []
-        original = frame.FrameTracer.trace_depth
-
-        def counted(this: Any, *arguments: Any) -> Any:
-            self.names.append(type(this._pipeline).__name__)
-            return original(this, *arguments)
-
-        monkeypatch.setattr(frame.FrameTracer, "trace_depth", counted)
-
-
 @_pairs
 def test_right_answers_differ_nowhere_and_stay_right(any_device: str, names: str, against: str | None) -> None:
     """Frames in which everything changes, with and without a verification after each: the same bits, no difference."""
@@ -107,17 +92,16 @@ def test_verify_alone_traces_for_itself(
     any_device: str, names: str, against: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tracer = _tracer(names, any_device)
-    traces = _Traces(monkeypatch)
+    traces = probe.depth_traces(monkeypatch)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS, against=against) == 0
-    assert len(traces.names) == 2 and len(set(traces.names)) == 2
+    assert len(traces) == 2 and len(set(traces)) == 2
 
 
 def test_a_changed_answer_is_counted(any_device: str) -> None:
     """Every wrong (pixel, light) pair counts once, whatever is wrong about it."""
     tracer = _tracer("light_grid", any_device)
     frame = tracer.trace(_depth(), _CAMERA, _LIGHTS)
-    states: Any = frame._found if isinstance(frame._found, np.ndarray) else frame._found.bytes
-    held = states.reshape(len(_LIGHTS), *_depth().shape)
+    held = probe.states(frame)
     held[2, 3, 4:9] = 7
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 5
     places = np.argwhere(held[0] == State.SHADOWED)[:11]
@@ -137,8 +121,7 @@ def test_a_blind_pipeline_is_found_out(any_device: str, names: str, wrong: str) 
     )
     assert shadows > 100
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
-    engine_: Any = tracer._engine.inside
-    pipeline = engine_._pipeline if wrong == "first" else tracer._engine._inside.verifier._pipeline
+    pipeline = probe.pipeline(tracer) if wrong == "first" else probe.verifying_pipeline(tracer)
     pipeline.show = lambda *_: None
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == shadows
@@ -148,7 +131,7 @@ def test_wrong_records_of_the_first_are_not_inherited(any_device: str) -> None:
     """The second pipeline makes triangle records of its own: damaged ones of the first show."""
     tracer = _tracer("light_grid", any_device)
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])
-    records: Any = tracer._engine.inside._context.records.memory  # type: ignore[attr-defined]
+    records = probe.context(tracer).records.memory
     # Within each record: not all triangles have one, and what lies between is whatever lay there.
     records.assign(np.ascontiguousarray(np.roll(records.numpy(), 1, axis=1)))  # planes in the place of others
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])  # nothing has changed: by the records that are there
@@ -200,21 +183,21 @@ def test_the_last_answer_is_used_if_it_is_of_these_inputs(any_device: str, monke
     """Then a verification is one trace by the second pipeline; whatever has changed, it is two."""
     tracer = _tracer("light_grid", any_device)
     tracer.prepare_verify()
-    traces = _Traces(monkeypatch)
+    traces = probe.depth_traces(monkeypatch)
     for change in (None, *_CHANGES):
         given: dict[str, Any] = {"depth": _depth(), "camera": _CAMERA, "lights": _LIGHTS, "bias": 0.01}
         tracer.trace(**given)
         given["depth"] = given["depth"].copy()  # the same bits in another place
-        traces.names.clear()
+        traces.clear()
         if change is None:
             tracer.occluded(np.zeros((5, 3)), _LIGHTS[0])
             tracer.states_at(np.zeros((7, 3)), _LIGHTS)
         else:
             change(tracer, given)
-            traces.names.clear()
+            traces.clear()
         assert tracer.verify(**given) == 0
-        assert len(traces.names) == (1 if change is None else 2), (change, traces.names)
-        assert traces.names[-1] == "Judge"
+        assert len(traces) == (1 if change is None else 2), (change, traces)
+        assert traces[-1] == "Judge"
 
 
 _WIDE = Camera(256, 160, 200.0, 200.0, 127.5, 79.5, _CAMERA.camera_to_world)
@@ -241,19 +224,20 @@ def test_points_in_between_change_neither_the_image_nor_the_answer(
     depth = _wide_depth(170)
     other = depth.copy()
     other[60:] = _wide_depth(171)[60:]
-    traces = _Traces(monkeypatch)
-    engine_: Any = tracer._engine.inside
+    traces = probe.depth_traces(monkeypatch)
+    chooser = probe.chooser(tracer)
+    assert (chooser is not None) == (names == "auto")
     for image, expected in ((depth, 1), (depth, 1), (other, 2)):
-        if names == "auto":
-            engine_._chooser.forced = ("light_grid", "packed")
-        if image is other or not traces.names:
+        if chooser:
+            chooser.forced = ("light_grid", "packed")
+        if image is other or not traces:
             tracer.trace(depth, _WIDE, _LIGHTS)
-        if names == "auto":
-            engine_._chooser.forced = ("brute_force", "filtered")
+        if chooser:
+            chooser.forced = ("brute_force", "filtered")
         tracer.occluded([[0.0, 0.0, 1.0]], _LIGHTS[0])
-        traces.names.clear()
+        traces.clear()
         assert tracer.verify(image, _WIDE, _LIGHTS) == 0
-        assert len(traces.names) == expected
+        assert len(traces) == expected
 
 
 def test_an_image_of_the_other_format_is_not_the_last_one(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,9 +246,9 @@ def test_an_image_of_the_other_format_is_not_the_last_one(any_device: str, monke
     millimetres = (1000.0 * np.nan_to_num(_depth())).astype(np.uint16)
     tracer.trace(millimetres, _CAMERA, _LIGHTS)
     tracer.trace(_depth(5), _CAMERA, _LIGHTS)
-    traces = _Traces(monkeypatch)
+    traces = probe.depth_traces(monkeypatch)
     assert tracer.verify(millimetres, _CAMERA, _LIGHTS) == 0
-    assert len(traces.names) == 2
+    assert len(traces) == 2
 
 
 def test_an_answer_is_forgotten_when_the_next_frame_fails(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,12 +257,12 @@ def test_an_answer_is_forgotten_when_the_next_frame_fails(any_device: str, monke
     tracer.prepare_verify()
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     with monkeypatch.context() as patch:
-        patch.setattr(frame.FrameTracer, "_launch", lambda *_: 1 // 0)
+        probe.before_launches(patch, lambda: 1 // 0)
         with pytest.raises(ZeroDivisionError):
             tracer.trace(_depth(6), _CAMERA, _LIGHTS)
-    traces = _Traces(monkeypatch)
+    traces = probe.depth_traces(monkeypatch)
     assert tracer.verify(_depth(6), _CAMERA, _LIGHTS) == 0
-    assert len(traces.names) == 2
+    assert len(traces) == 2
 
 
 @pytest.mark.parametrize("names", ["light_grid", "auto"])
@@ -293,11 +277,11 @@ def test_auto_verifies_nobody_and_nobody_it_may_choose_verifies_it(names: str, a
         for against in mine:
             with pytest.raises(ValueError, match=f"^against: expected one of {others}, got '{against}'"):
                 tracer.prepare_verify(against)
-        assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.verifier == "cone_hierarchy"
+        assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and probe.verifier(tracer) == "cone_hierarchy"
     else:
         tracer.prepare_verify("brute_force")
         tracer.select("auto")
-        assert tracer._engine.verifier is None, "auto may choose it for a frame"
+        assert probe.verifier(tracer) is None, "auto may choose it for a frame"
         assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
 
 
@@ -309,26 +293,26 @@ def test_buffers_of_the_second_pipeline(any_device: str) -> None:
     plain = tracer.device_bytes
     assert tracer.prepare_verify() >= 0.0
     assert tracer.device_bytes > plain
-    second: Any = tracer._engine._inside.verifier  # type: ignore[union-attr]
+    second: Any = probe.verifying_pipeline(tracer)
     tracer.trace(_depth(), _CAMERA, _LIGHTS)
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0
     both = tracer.device_bytes
     for seed in range(140, 150):
         tracer.scene.put("street", *_street())
         assert tracer.verify(_depth(seed), _CAMERA, _LIGHTS) == 0
-    assert tracer.device_bytes == both and tracer._engine._inside.verifier is second  # type: ignore[union-attr]
+    assert tracer.device_bytes == both and probe.verifying_pipeline(tracer) is second
     del second
     tracer.release_verify()
     assert tracer.device_bytes == plain
     tracer.release_verify()
     assert tracer.verify(_depth(), _CAMERA, _LIGHTS, against="brute_force") == 0
-    assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.verifier == "brute_force", "it is kept"
+    assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and probe.verifier(tracer) == "brute_force", "it is kept"
     tracer.prepare_verify("mesh_bvh")
     tracer.select("mesh_bvh")
-    assert tracer._engine.verifier is None
-    assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and tracer._engine.verifier == "light_grid"
+    assert probe.verifier(tracer) is None
+    assert tracer.verify(_depth(), _CAMERA, _LIGHTS) == 0 and probe.verifier(tracer) == "light_grid"
     tracer.select("light_grid", "spherical")
-    assert tracer._engine.verifier is None
+    assert probe.verifier(tracer) is None
 
 
 def test_a_prepared_second_pipeline_leaves_the_scene_alone(any_device: str) -> None:
@@ -359,7 +343,7 @@ def test_errors_name_the_argument(any_device: str) -> None:
         arguments: dict[str, Any] = {"depth": _depth(), "camera": _CAMERA, "lights": _LIGHTS, "bias": 0.01, **change}
         with pytest.raises(ValueError, match=f"^{field}"):
             tracer.verify(**arguments)
-    assert tracer._engine.verifier is None, "nothing was allocated for a call that was refused"
+    assert probe.verifier(tracer) is None, "nothing was allocated for a call that was refused"
 
 
 def test_frames_of_other_lights_or_sizes_cannot_be_compared(any_device: str) -> None:

@@ -90,9 +90,12 @@ def listen(node: str, timeout: float) -> tuple[Any | None, set[str]]:
 
 
 def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value <= 3600.0:
-        raise ValueError
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= 3600.0:  # NaN is not either
+        raise argparse.ArgumentTypeError(f"expected more than 0 and at most 3600 seconds, got {text!r}")
     return value
 
 

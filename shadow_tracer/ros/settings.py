@@ -5,16 +5,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer import Bias, Bounds, DirectionalLight, PointLight, SphereLight, SpotLight
+from shadow_tracer import (
+    Bias,
+    Bounds,
+    DirectionalLight,
+    DiscLight,
+    PointLight,
+    RectangleLight,
+    SphereLight,
+    SpotLight,
+    SunDisc,
+    TubeLight,
+)
 
 FloatArray = npt.NDArray[np.float64]
-Light = PointLight | SpotLight | DirectionalLight | SphereLight
+Light = PointLight | SpotLight | DirectionalLight | SphereLight | DiscLight | RectangleLight | TubeLight | SunDisc
 
-LIGHT_TYPES = ("point", "spot", "directional", "sun", "sphere")
+LIGHT_TYPES = ("point", "spot", "directional", "sun", "sphere", "disc", "rectangle", "tube")
 
 
 @dataclass(frozen=True)
@@ -40,6 +52,12 @@ class LightSettings:
     range: float
     radius: float
     sun: SunSettings
+    axis: tuple[float, float, float]
+    length: float
+    size: tuple[float, float]
+    two_sided: bool
+    angular_diameter: float
+    ignore: tuple[str, ...]
 
     def light(self, frame_to_world: FloatArray, direction: FloatArray | None = None) -> Light:
         """The light in the world.
@@ -51,16 +69,45 @@ class LightSettings:
         Raises:
             ValueError: the values make no light; the message starts with the key.
         """
-        position = frame_to_world[:3, :3] @ np.asarray(self.position) + frame_to_world[:3, 3]
-        way = frame_to_world[:3, :3] @ (np.asarray(self.direction) if direction is None else direction)
-        reach = self.range if self.range > 0.0 else math.inf
+        name, turn = self.name, frame_to_world[:3, :3]
+        position = turn @ np.asarray(self.position) + frame_to_world[:3, 3]
+        way = turn @ (np.asarray(self.direction) if direction is None else direction)
+        more: dict[str, Any] = {"ignore": self.ignore}
+        if self.type in ("directional", "sun"):
+            if self.angular_diameter > 0.0:
+                return SunDisc(name, way, self.angular_diameter, **more)
+            return DirectionalLight(name, way, **more)
+        more["range"] = self.range if self.range > 0.0 else math.inf
         if self.type == "point":
-            return PointLight(self.name, position, range=reach)
+            return PointLight(name, position, **more)
         if self.type == "spot":
-            return SpotLight(self.name, position, way, self.outer_angle, range=reach)
+            return SpotLight(name, position, way, self.outer_angle, **more)
         if self.type == "sphere":
-            return SphereLight(self.name, position, self.radius, range=reach)
-        return DirectionalLight(self.name, way)
+            return SphereLight(name, position, self.radius, **more)
+        if self.type == "disc":
+            return DiscLight(name, position, way, self.radius, self.two_sided, **more)
+        if self.type == "rectangle":
+            u, v = self.sides
+            return RectangleLight(name, position, turn @ u, turn @ v, self.two_sided, **more)
+        half = turn @ self.half_length
+        return TubeLight(name, position - half, position + half, self.radius, **more)
+
+    @property
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """From the middle of a rectangle to the middles of two of its sides [m]: with them it shines along
+        ``direction``."""
+        way = np.asarray(self.direction) / np.linalg.norm(self.direction)
+        axis = np.asarray(self.axis)
+        u = axis - (axis @ way) * way
+        u /= np.linalg.norm(u)
+        u -= (u @ way) * way  # what the rounding of a long axis left
+        return 0.5 * self.size[0] * u, 0.5 * self.size[1] * np.cross(way, u)
+
+    @property
+    def half_length(self) -> FloatArray:
+        """(3,) from the middle of a tube to an end [m]."""
+        half: FloatArray = 0.5 * self.length / np.linalg.norm(self.axis) * np.asarray(self.axis)
+        return half
 
 
 @dataclass(frozen=True)

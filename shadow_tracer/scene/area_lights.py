@@ -6,8 +6,9 @@ it; each of them is a hard light, with an exact answer. How many of them reach a
 no shadow.
 
 Where a light with size shines is decided once, for all of its points, as if it were the hard light ``shines``: by its
-range from the centre and, where it shines to one side only, by which side a sample is on. Elsewhere a sample is
-OUTSIDE, and no point of the light reaches it.
+range from the centre and, where it shines to one side only, by which side a sample is on (as a spot light of a right
+angle is asked: a sample in the plane is not in front, but for the very centre). Elsewhere a sample is OUTSIDE, and no
+point of the light reaches it.
 """
 
 from __future__ import annotations

@@ -57,8 +57,8 @@ class PointLight:
         name: how the light is called in results; a non-empty string.
         position: (3,) position in the world [m].
         range: samples farther than this are OUTSIDE [m]; infinity by default.
-        ignore: names of meshes that cast no shadow in this light, such as its fixture; see :meth:`Scene.put`. A name
-            that no mesh has ignores nothing, until there is such a mesh.
+        ignore: names of meshes that cast no shadow in this light, such as its fixture; a name stands also for all that
+            begin with it and a slash. One that no mesh has ignores nothing, until there is such a mesh.
         strength: how much it radiates, see :class:`Strength`; None: only what it reaches can be asked.
     """
 
@@ -96,8 +96,8 @@ class SpotLight:
         direction: (3,) axis of the cone, the way light travels; any length but zero.
         outer_angle: half angle of the cone [rad], 0 < outer_angle <= pi. Samples outside it are OUTSIDE.
         range: samples farther than this are OUTSIDE [m]; infinity by default.
-        ignore: names of meshes that cast no shadow in this light, such as its fixture; see :meth:`Scene.put`. A name
-            that no mesh has ignores nothing, until there is such a mesh.
+        ignore: names of meshes that cast no shadow in this light, such as its fixture; a name stands also for all that
+            begin with it and a slash. One that no mesh has ignores nothing, until there is such a mesh.
         strength: how much it radiates, see :class:`Strength`; None: only what it reaches can be asked.
     """
 

@@ -65,7 +65,7 @@ def _run(section: str, settings: Settings = _TINY) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_everybody_takes_part_and_ours_are_right() -> None:
+def test_all_methods_take_part_and_ours_are_right() -> None:
     found = _run("scenes")
     rows = {row["method"]: row for row in found["rows"]}
     ours = {"/".join(pair) for pair in suite_settings.default_variants()}
@@ -188,7 +188,7 @@ def test_every_frame_has_another_image() -> None:
 
 
 def test_nobody_always_follows_the_same() -> None:
-    """What runs before leaves caches and clock as it does: every turn has an order of its own, with everybody in it."""
+    """What runs before leaves caches and clock as it does: every turn has a separate order, with all methods in it."""
     calls: list[str] = []
 
     class Quiet:

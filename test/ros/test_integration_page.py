@@ -99,7 +99,7 @@ def test_links_of_a_robot_become_markers(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setattr("rclpy.publisher.Publisher.publish", lambda _publisher, data: sent.append(data))
     exec(compile(code, "integration.md", "exec"), {"__name__": "page"})
     (part,) = marker_changes(parse_markers(sent[-1], 100), {}, 0, "mesh_markers").put
-    assert (len(part.triangles), part.samples, part.locked) == (12, "upper_arm_link", True)
+    assert (len(part.triangles), part.frame, part.locked) == (12, "upper_arm_link", True)
 
 
 @pytest.mark.parametrize(("encoding", "channels"), [("mono8", 1), ("rgb8", 3)])

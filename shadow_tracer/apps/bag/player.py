@@ -33,6 +33,7 @@ from shadow_tracer.ros.world.lighting import Lighting, LightPose
 from shadow_tracer.ros.world.mesh_sources import MeshSources
 
 _NOW = 0.0  # steady time: nothing waits here
+_BY_LIGHT = ("mask", "visibility")  # topics of which each light has one
 _LATER = 1e9  # by then everything has waited long enough
 _BACKWARD_STAMPS = 1_000_000_000  # as in the node: images this much older than the last one mean another pass
 
@@ -44,6 +45,7 @@ class Wish:
     timing: bool = True
     overlay: bool = False
     copy: bool = False
+    visibility: bool = False
 
 
 @dataclass
@@ -119,7 +121,7 @@ class Player:
         self._next_info = 0
         self._mine = {names.topic(f"~/{name}") for name in ("mask", "light_bits", "camera_info", "timing", "overlay")}
         self._mine |= {names.topic("~/query/visibility")}
-        self._mine |= {names.topic(f"~/mask/{light.name}") for light in settings.lights}
+        self._mine |= {names.topic(f"~/{kind}/{light.name}") for light in settings.lights for kind in _BY_LIGHT}
         if settings.camera_info_policy == "latest":
             self._queue.put_info(background.first_info)
         self.meshes.load_files(settings, 0)
@@ -227,6 +229,9 @@ class Player:
         for light in answer.enabled:
             mask = published_mask(answer, light, self._settings)
             self._output.image(topic(f"~/mask/{light}"), now_ns, mask, "mono8", header)
+            if self._wish.visibility:
+                share = answer.visibility(light)
+                self._output.image(topic(f"~/visibility/{light}"), now_ns, share, "32FC1", header)
         self._output.image(topic("~/mask"), now_ns, published_mask(answer, None, self._settings), "mono8", header)
         if len(answer.names) <= MOST_BITS:
             bits = answer.bits()

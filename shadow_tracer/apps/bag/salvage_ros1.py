@@ -52,7 +52,7 @@ def mend_ros1(source: Path, target: Path) -> int:
 
 
 def _connection(fields: Fields, data: bytes) -> tuple[str, str, dict[str, Any]]:
-    """Topic, type by its name in ROS 2, and what else rosbags wants to know of a connection."""
+    """Topic, type by its name in ROS 2, and what else rosbags needs of a connection."""
     about = {key: value.decode() for key, value in _fields(data).items()}
     package, _, name = about[b"type"].partition("/")
     how = {

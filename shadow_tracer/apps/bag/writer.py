@@ -77,8 +77,8 @@ class Output:
         Args:
             topic: full name.
             time: log time [ns].
-            pixels: (H, W) or (H, W, channels), uint8 or uint16.
-            encoding: what ROS calls that: mono8, rgb8, 16UC1.
+            pixels: (H, W) or (H, W, channels), uint8, uint16 or float32.
+            encoding: what ROS calls that: mono8, rgb8, 16UC1, 32FC1.
             header: header of the depth image it belongs to.
         """
         data = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)

@@ -36,6 +36,7 @@ CAMERA_FRAME = "camera_optical_frame"
 WORLD_FRAME = "map"
 LOOKAHEAD = 48
 _SPEAKING = threading.Lock()
+LONGEST_BUDGET = 86400.0  # s
 KEPT = 8  # messages a slow listener may lag behind
 
 
@@ -273,7 +274,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, metavar="N", help="number of frames")
     parser.add_argument("--size", type=size, metavar="WxH", help="image size of the workshop's camera")
     text = "leave out frames if playing would take longer; 0 leaves out none (default: 28)"
-    parser.add_argument("--budget", type=float, default=28.0, metavar="S", help=text)
+    parser.add_argument("--budget", type=budget, default=28.0, metavar="S", help=text)
 
 
 def size(text: str) -> tuple[int, int]:
@@ -285,6 +286,17 @@ def size(text: str) -> tuple[int, int]:
     if not (16 <= width and 16 <= height and width * height <= STILL_PIXELS):
         raise argparse.ArgumentTypeError(f"size: must be 16x16 to {STILL_PIXELS} pixels in all, got {text!r}")
     return width, height
+
+
+def budget(text: str) -> float:
+    """Seconds of a text such as 28; 0 is no limit."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
+    if not 0.0 <= seconds <= LONGEST_BUDGET:  # NaN is not either
+        raise argparse.ArgumentTypeError(f"budget: expected 0 to {LONGEST_BUDGET:g} seconds, got {text!r}")
+    return seconds
 
 
 def main(arguments: list[str] | None = None) -> int:

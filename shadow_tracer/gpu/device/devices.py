@@ -24,7 +24,7 @@ def pick_device(name: str | None) -> Any:
     if name is None:
         name = "cuda:0" if "cuda:0" in known else "cpu"
     if name not in known:
-        raise ValueError(f"device: expected one of {', '.join(known)} or None for the best, got {name!r}")
+        raise ValueError(f"device: expected one of {', '.join(known)}, or auto (None in Python), got {name!r}")
     return wp.get_device(name)
 
 

@@ -156,14 +156,17 @@ class SceneBuffers:
         return changed
 
     def leave_out(self, names: Collection[str]) -> None:
-        """From now on the meshes of these names cast nothing, and all others do; the revision stays. Names of no mesh
-        mean nothing. To be ended, by no names, before the next ``sync``."""
-        out = merged(part.slot[1] for name, part in self._parts.items() if name in names)
+        """From now on the meshes of these names, or of names that begin with one and a slash, cast nothing, and all
+        others do; the revision stays. Names of no mesh mean nothing. To be ended, by no names, before the next
+        ``sync``."""
+        groups = tuple(f"{name}/" for name in names)
+        gone = {name for name in self._parts if name in names or name.startswith(groups)} if names else set()
+        out = merged(self._parts[name].slot[1] for name in gone)
         if out == self.left_out:
             return
         for name, part in self._parts.items():
             first, last = part.slot[1]
-            if name in names:
+            if name in gone:
                 self.triangles[first:last].fill_(wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX))
             elif any(begin < last and first < end for begin, end in self.left_out):
                 self._put_triangles(part.mesh_triangles, part.first_vertex, first)

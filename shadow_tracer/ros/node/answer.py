@@ -96,6 +96,13 @@ class Answer:
                 bits |= ((found >> np.uint16(index)) & np.uint16(1)) << np.uint16(self.names.index(name))
         return bits.astype(kind)
 
+    def visibility(self, light: str) -> npt.NDArray[np.float32]:
+        """(H, W) float32 share of a light that reaches each pixel, 0 to 1; NaN where nothing is known."""
+        if self.traced is not None and self.missing is None and light in self.traced.names:
+            return self.traced.visibility(light)
+        known = self._measured() & (self.missing is None)  # of a sun below the horizon nothing reaches
+        return np.where(known, np.float32(0.0), np.float32(np.nan))
+
     @property
     def mask_info(self) -> CameraInfo | None:
         """The camera_info with the header of the masks, so that programs which pair the two by stamp find it also where

@@ -21,6 +21,7 @@ from shadow_tracer.ros.node.subscriptions import keeps_for_late_joiners
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.wire.messages import image_message
 
+_MASK, _SHARE = _KINDS = ("mask/", "visibility/")
 _DEPTHS = {"lit": True, "shadowed": False}
 
 
@@ -28,8 +29,9 @@ class Outputs:
     """The publishers. Those of single lights come and go with the lights.
 
     Attributes:
-        infos: camera_info for masks, by what stands between ``~/mask/`` and ``camera_info``: "" is the one that
-            image_transport looks for beside every ``~/mask/<light>``.
+        lights, shares: the masks and the visible shares, by light.
+        infos: camera_info for them, by what stands before ``camera_info``: "mask/" and "visibility/" are those that
+            image_transport looks for beside every light's.
     """
 
     def __init__(self, node: Node) -> None:
@@ -45,17 +47,19 @@ class Outputs:
         self.timing = self._publisher(DiagnosticArray, "~/timing", qos.report())
         self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
         self.lights: dict[str, Publisher] = {}
-        self.infos = {"": self._publisher(CameraInfo, "~/mask/camera_info")}
+        self.shares: dict[str, Publisher] = {}
+        self.infos = {kind: self._publisher(CameraInfo, f"~/{kind}camera_info") for kind in _KINDS}
 
     def configure(self, settings: Settings) -> None:
-        """One mask topic for each light, and none for others."""
+        """A mask topic and one of its visible share for each light, and none for others."""
         names = {light.name for light in settings.lights}
-        for name in set(self.lights) - names:
-            self._node.destroy_publisher(self.lights.pop(name))
-            self._node.destroy_publisher(self.infos.pop(name))
-        for name in sorted(names - set(self.lights)):
-            self.lights[name] = self._publisher(Image, f"~/mask/{name}")
-            self.infos[name] = self._publisher(CameraInfo, f"~/mask/{name}/camera_info")
+        for kind, publishers in zip(_KINDS, (self.lights, self.shares), strict=True):
+            for name in set(publishers) - names:
+                self._node.destroy_publisher(publishers.pop(name))
+                self._node.destroy_publisher(self.infos.pop(f"{kind}{name}/"))
+            for name in sorted(names - set(publishers)):
+                publishers[name] = self._publisher(Image, f"~/{kind}{name}")
+                self.infos[f"{kind}{name}/"] = self._publisher(CameraInfo, f"~/{kind}{name}/camera_info")
 
     def publish(self, answer: Answer, settings: Settings) -> dict[str, float]:
         """Send what belongs to a frame, its camera_info last. Returns milliseconds by stage."""
@@ -65,6 +69,10 @@ class Outputs:
         for publisher, light in [(self.mask, None), *((self.lights.get(name), name) for name in answer.enabled)]:
             if publisher is not None and (always or _wanted(publisher)):
                 images.append((publisher, published_mask(answer, light, settings), "mono8"))
+        for name in answer.enabled:
+            publisher = self.shares.get(name)
+            if publisher is not None and _wanted(publisher):
+                images.append((publisher, answer.visibility(name), "32FC1"))
         for lit, publisher in self.depths.items():
             if _wanted(publisher):
                 depth = answer.depth(lit, settings.mask_dilate, settings.depth_unit)
@@ -86,10 +94,11 @@ class Outputs:
         if info is None:
             return
         self.info.publish(info)
-        for name in ("", *answer.enabled):
-            publisher = self.infos.get(name)
-            if publisher is not None and (always or _wanted(publisher)):
-                publisher.publish(info)
+        for kind in _KINDS:
+            for name in ("", *(f"{name}/" for name in answer.enabled)):
+                publisher = self.infos.get(kind + name)
+                if publisher is not None and ((always and kind == _MASK) or _wanted(publisher)):
+                    publisher.publish(info)
 
     def _publisher(self, kind: Any, topic: str, profile: QoSProfile | None = None) -> Publisher:
         return self._node.create_publisher(

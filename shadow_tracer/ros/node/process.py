@@ -36,7 +36,7 @@ class StopRequest:
             signal.signal(number, self._note)
 
     def close(self) -> None:
-        """The process is about to end: nothing may interrupt it any more, not even while the interpreter goes down."""
+        """The process is about to end: nothing may interrupt it any more, not even while the interpreter ends."""
         for number in self._handled:
             signal.signal(number, signal.SIG_IGN)
 

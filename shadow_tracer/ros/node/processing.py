@@ -7,7 +7,7 @@ No ROS here: the offline tool works with the same code.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -199,6 +199,17 @@ def forget_surface(scene: Scene, settings: Settings) -> None:
     """Take the surface of an earlier depth image out of the scene if it is not to cast shadow any more."""
     if not settings.uses_depth and DEPTH_PART in scene:
         scene.remove(DEPTH_PART)
+
+
+def ignored_by_nobody(settings: Settings, parts: Iterable[str]) -> str:
+    """Which enabled light is to ignore a part that there is not, and the parts there are; "" if there is none."""
+    known = [*parts, DEPTH_PART]
+    for light in settings.enabled_lights:
+        for name in light.ignore:
+            if not any(key == name or key.startswith(f"{name}/") for key in known):
+                some = ", ".join(known[:8]) + (", ..." if len(known) > 8 else "")
+                return f"lights.{light.name}.ignore names {name!r}, but the parts are {some}"
+    return ""
 
 
 def check_meshes(meshes: MeshStore, settings: Settings, now_ns: int) -> None:

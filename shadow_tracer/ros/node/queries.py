@@ -15,7 +15,7 @@ from shadow_tracer import ShadowTracer, State
 from shadow_tracer.ros.diagnostics import ERROR, PROCESSING, Complaint, Missing
 from shadow_tracer.ros.node.processing import check_meshes, forget_surface
 from shadow_tracer.ros.settings import FloatArray, Settings
-from shadow_tracer.ros.wire.clouds import cloud_points, visibility_cloud
+from shadow_tracer.ros.wire.clouds import cloud_normals, cloud_points, visibility_cloud
 from shadow_tracer.ros.wire.messages import stamp_ns
 from shadow_tracer.ros.wire.parts import PartError
 from shadow_tracer.ros.world.frames import Frames
@@ -33,6 +33,7 @@ _FAILED = "if it stays so, set another pipeline, or restart the node"
 class _Query:
     message: Any
     points: FloatArray
+    normals: FloatArray | None
     arrived: float
 
 
@@ -58,7 +59,7 @@ class Queries:
         return len(self._waiting)
 
     def put(self, message: Any, max_points: int, now: float) -> None:
-        """Take a sensor_msgs/PointCloud2 with fields x, y, z [m].
+        """Take a sensor_msgs/PointCloud2 with fields x, y, z [m], and normal_x, normal_y, normal_z or none of them.
 
         Args:
             max_points: capacity; a larger cloud is refused.
@@ -68,13 +69,14 @@ class Queries:
             points = cloud_points(message)
             if len(points) > max_points:
                 raise PartError(f"bounds.max_rays: the query has {len(points)} points, the bound is {max_points}")
+            normals = cloud_normals(message)
         except PartError as error:
             self.refused.add(str(error), now)
             return
         if len(self._waiting) == _CAPACITY:
             self._waiting.popleft()
             self.dropped += 1
-        self._waiting.append(_Query(message, points, now))
+        self._waiting.append(_Query(message, points, normals, now))
 
     def clear(self) -> None:
         """Drop all waiting queries."""
@@ -136,6 +138,9 @@ class Queries:
         if not lit.lights:
             return bits
         tracer.front_face_culling = settings.front_face_culling
+        if query.normals is not None:  # a normal of zeros moves nothing
+            away = settings.bias_normal * settings.bias_constant
+            points += away * (query.normals[known] @ to_world[:3, :3].T)
         states = tracer.states_at(points, lit.lights, bias=settings.bias_constant)
         names = [light.name for light in settings.lights]
         for light, state in zip(lit.lights, states, strict=True):

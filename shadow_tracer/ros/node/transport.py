@@ -28,7 +28,7 @@ class LossMeter:
             alone: exactly one publisher sends; with several their numbers mix and tell nothing.
         """
         last = self._arrivals[-1][1] if self._arrivals else 0
-        if not alone or number <= last:  # another publisher, or one that began anew
+        if not alone or number <= last:  # another publisher, or one that began again
             self._arrivals.clear()
         elif self._arrivals:
             self.skipped += number - last - 1

@@ -14,6 +14,7 @@ from typing import Any
 
 from shadow_tracer import Bounds, available_pipelines
 from shadow_tracer.ros.cameras.camera_infos import POLICIES
+from shadow_tracer.ros.parameters.light_parameters import FRAME, FRAME_TEXT, LIGHT_PARAMETERS, light_from
 from shadow_tracer.ros.parameters.parameter_rows import (
     BOOL,
     DOUBLE,
@@ -25,9 +26,8 @@ from shadow_tracer.ros.parameters.parameter_rows import (
     ParameterError,
     convert,
 )
-from shadow_tracer.ros.settings import LIGHT_TYPES, LightSettings, Settings, SunSettings
+from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.wire.messages import DISTORTION, MILLIMETRE
-from shadow_tracer.ros.world.sun import parse_time
 from shadow_tracer.scene.bounds import LIMITS
 
 __all__ = [
@@ -49,7 +49,6 @@ __all__ = [
 _BUFFER = "device buffers of this size are allocated once, at start; restart the node to change it"
 _DEVICE = "buffers and kernels live on one device from the start; restart the node to change it"
 _THREADS = "buffers are cut into as many bands at the start; restart the node to change it"
-_FRAME = re.compile(r"(?!/)\S+|")
 _DEVICE_NAME = re.compile(r"auto|cpu|cuda:\d+")
 _LIGHT_NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")
 _NO_LIGHT = "camera_info"  # ~/mask/camera_info is the camera_info of all masks
@@ -62,8 +61,6 @@ def _pipelines() -> tuple[str, ...]:
 def _variants() -> tuple[str, ...]:
     return ("", *dict.fromkeys(variant for variants in available_pipelines().values() for variant in variants))
 
-
-_FRAME_TEXT = 'a tf frame without leading "/", or ""'
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("pipeline", STRING, "light_grid",
@@ -80,13 +77,13 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("fixed_frame", STRING, "",
               "World frame of meshes and lights. Empty: with pose_source tf the world is the optical frame of the "
               "depth image and needs no tf; with the other sources it is the frame their poses are given in.",
-              pattern=_FRAME, pattern_text=_FRAME_TEXT),
+              pattern=FRAME, pattern_text=FRAME_TEXT),
     Parameter("pose_source", STRING, "tf",
               "Where the pose of the camera's optical frame in fixed_frame comes from: tf (at the stamp of the "
               "image), the topic camera_pose, or the parameter camera_pose.", allowed=("tf", "topic", "parameter")),
     Parameter("camera_frame", STRING, "",
               "Optical frame of the depth image, where its header names another one or none; empty is that of the "
-              "header.", pattern=_FRAME, pattern_text=_FRAME_TEXT),
+              "header.", pattern=FRAME, pattern_text=FRAME_TEXT),
     Parameter("camera_pose", DOUBLES, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
               "Pose of the optical frame, x y z [m] qx qy qz qw, used when pose_source is parameter.", length=7),
     Parameter("tf_timeout", DOUBLE, 0.2,
@@ -94,7 +91,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               "a camera_pose farther than this from the stamp of the image is not used.", "s", 0.0, 10.0),
     Parameter("mesh.frame", STRING, "",
               "Frame of the topic mesh, which has no header; empty is fixed_frame.",
-              pattern=_FRAME, pattern_text=_FRAME_TEXT),
+              pattern=FRAME, pattern_text=FRAME_TEXT),
     Parameter("mesh.max_age", DOUBLE, 0.0,
               "A mesh received longer ago than this is stale and the mask says unknown; 0 never.", "s", 0.0, 1e6),
     Parameter("mesh.files", STRINGS, ("",),
@@ -136,7 +133,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               "so.", "1/m", 0.0, 0.1),
     Parameter("bias.normal", DOUBLE, 0.6,
               "Samples are first moved by this many times the bias along the normal of their surface, where the depth "
-              "image shows one: against speckles in grazing light.", low=0.0, high=2.0),
+              "image shows one or a query gives it: against speckles in grazing light.", low=0.0, high=2.0),
     Parameter("front_face_culling", BOOL, False,
               "Triangles whose front (corners counter-clockwise) faces the light cast nothing, their backs do. Only "
               "for closed meshes with outward fronts, and with a bias of nearly zero."),
@@ -178,35 +175,6 @@ PARAMETERS: tuple[Parameter, ...] = (
               low=1, high=LIMITS["grid_entries"], read_only=_BUFFER),
     Parameter("diagnostics_period", DOUBLE, 1.0,
               "Time between two messages on /diagnostics, on a steady clock.", "s", 0.1, 1.0),
-)  # fmt: skip
-
-LIGHT_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("type", STRING, "point",
-              "Kind of light. The sun stands where date, time and place put it, if the axes of its frame are east, "
-              "north, up; a sphere casts soft shadows.", allowed=LIGHT_TYPES),
-    Parameter("enabled", BOOL, True,
-              "Whether it shines; the mask of a light that does not is not published."),
-    Parameter("frame", STRING, "",
-              "Frame of position and direction; empty is fixed_frame. The optical frame of the depth image needs no "
-              "tf.", pattern=_FRAME, pattern_text=_FRAME_TEXT),
-    Parameter("position", DOUBLES, (0.5, -0.5, 0.0),
-              "Position of a point, spot or sphere light. The default is to the right of and above the camera, if "
-              "fixed_frame is left empty.", "m", length=3),
-    Parameter("direction", DOUBLES, (0.0, 0.0, 1.0),
-              "The way light travels, of a spot or directional light; any length but zero. The default is the way "
-              "the camera looks, if fixed_frame is left empty.", length=3),
-    Parameter("outer_angle", DOUBLE, 0.5,
-              "Half angle of a spot light's cone; what lies outside is not reached.", "rad", 0.001, math.pi),
-    Parameter("range", DOUBLE, 0.0,
-              "How far a point, spot or sphere light reaches; 0 is without limit.", "m", 0.0, 1e9),
-    Parameter("radius", DOUBLE, 0.1,
-              "Radius of a sphere light.", "m", 1e-6, 1e6),
-    Parameter("sun.latitude", DOUBLE, 0.0,
-              "Where the sun is seen from, north positive.", "deg", -90.0, 90.0),
-    Parameter("sun.longitude", DOUBLE, 0.0,
-              "Where the sun is seen from, east positive.", "deg", -180.0, 180.0),
-    Parameter("sun.time", STRING, "",
-              "When, as ISO 8601 (2026-06-21T12:00:00Z, without a zone UTC); empty is the stamp of the image."),
 )  # fmt: skip
 
 _BY_NAME = {row.name: row for row in PARAMETERS}
@@ -276,7 +244,7 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     length = math.sqrt(sum(value * value for value in checked["camera_pose"][3:]))
     if not 0.99 <= length <= 1.01:
         raise ParameterError(f"camera_pose: expected a unit quaternion qx qy qz qw, got one of length {length:.6g}")
-    lights = tuple(_light(name, values) for name in names)
+    lights = tuple(light_from(name, values) for name in names)
     try:
         Bounds(**{name: checked[f"bounds.{name}"] for name in LIMITS if f"bounds.{name}" in checked})
     except ValueError as error:  # of two that do not fit together
@@ -290,25 +258,6 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
 _FIELDS = {"mask.unknown_value": "unknown_value"} | {
     row.name: row.name[7:] for row in PARAMETERS if row.name.startswith("bounds.")
 }
-
-
-def _light(name: str, values: Mapping[str, Any]) -> LightSettings:
-    keys = {}
-    for row in LIGHT_PARAMETERS:
-        full = f"lights.{name}.{row.name}"
-        keys[row.name] = convert(full, row, values.get(full, row.default))
-    text = keys.pop("sun.time")
-    try:
-        time = parse_time(text) if text else None
-    except ValueError as error:
-        raise ParameterError(f"lights.{name}.sun.time: {error}") from error
-    sun = SunSettings(keys.pop("sun.latitude"), keys.pop("sun.longitude"), time)
-    light = LightSettings(name=name, sun=sun, **keys)
-    if not 1e-6 <= math.sqrt(sum(value * value for value in light.direction)) <= 1e6:
-        raise ParameterError(
-            f"lights.{name}.direction: expected a length from 1e-6 to 1e6, got {list(light.direction)}"
-        )
-    return light
 
 
 def problems_in(values: Mapping[str, Any]) -> list[str]:

@@ -8,7 +8,7 @@ with one is a :class:`PartError` that names the field, and nothing is allocated 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ CLOUD = "cloud"
 # Datatypes of sensor_msgs/PointField.
 _UINT8, _UINT32, _FLOAT32, _FLOAT64 = 2, 6, 7, 8
 _REAL = {_FLOAT32: "f4", _FLOAT64: "f8"}
+_NORMAL = ("normal_x", "normal_y", "normal_z")  # as the Point Cloud Library writes them
 
 # x, y, z, lights, known of an answer: name, offset, datatype, format. Padded so that all rows of points stay aligned.
 _ANSWER = (
@@ -45,18 +46,21 @@ class _Layout:
     width: int
     point_step: int
     row_step: int
-    columns: tuple[tuple[int, np.dtype[Any]], ...]  # offset and format of x, y, z
+    columns: tuple[tuple[int, np.dtype[Any]], ...]  # offset and format of x, y, z, or of other three
 
     @property
     def count(self) -> int:
         return self.height * self.width
 
 
-def _column(fields: Any, name: str, point_step: int, order: str) -> tuple[int, np.dtype[Any]]:
+def _column(fields: Any, name: str, wanted: Sequence[str], point_step: int, order: str) -> tuple[int, np.dtype[Any]]:
     found = [field for field in fields if field.name == name]
     if len(found) != 1:
         names = [str(field.name) for field in fields[:16]]
-        raise PartError(f"fields: expected one each of x, y and z, got {names}{' ...' if len(fields) > 16 else ''}")
+        raise PartError(
+            f"fields: expected one each of {wanted[0]}, {wanted[1]} and {wanted[2]}, "
+            f"got {names}{' ...' if len(fields) > 16 else ''}"
+        )
     offset, datatype, count = int(found[0].offset), int(found[0].datatype), int(found[0].count)
     kind = _REAL.get(datatype)
     if kind is None:
@@ -71,7 +75,7 @@ def _column(fields: Any, name: str, point_step: int, order: str) -> tuple[int, n
     return offset, dtype
 
 
-def _layout(msg: Any) -> _Layout:
+def _layout(msg: Any, wanted: Sequence[str] = "xyz") -> _Layout:
     height, width = int(msg.height), int(msg.width)
     point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
     if height * width == 0:
@@ -79,7 +83,7 @@ def _layout(msg: Any) -> _Layout:
             raise PartError(f"width, height: {width} x {height} points, but data has {size} bytes")
         return _Layout(0, 0, 0, 0, ())
     order = ">" if msg.is_bigendian else "<"
-    columns = tuple(_column(msg.fields, name, point_step, order) for name in "xyz")
+    columns = tuple(_column(msg.fields, name, wanted, point_step, order) for name in wanted)
     if height > 1 and row_step < width * point_step:
         raise PartError(f"row_step: expected at least width * point_step = {width * point_step} bytes, got {row_step}")
     needed = (height - 1) * row_step + width * point_step  # a single row has no need of row_step
@@ -114,6 +118,32 @@ def cloud_points(msg: Any) -> FloatArray:
         PartError: a field is missing or of another type, a step is too small, data too short.
     """
     return _points(msg, _layout(msg))
+
+
+def cloud_normals(msg: Any) -> FloatArray | None:
+    """Unit normals of the points of a cloud, row by row.
+
+    Args:
+        msg: as for :func:`cloud_points`; with fields normal_x, normal_y, normal_z, of the same types as x, y, z.
+
+    Returns:
+        (height * width, 3) float64 in the frame of the header, zeros where a normal is zero or not finite. None: the
+        cloud has none of these fields.
+
+    Raises:
+        PartError: as for :func:`cloud_points`, or it has some of these fields and not all.
+    """
+    if not any(field.name in _NORMAL for field in msg.fields):
+        return None
+    normals = _points(msg, _layout(msg, _NORMAL))
+    largest = np.abs(normals).max(axis=1, initial=0.0)  # NaN stays NaN
+    good = np.isfinite(largest) & (largest > 0.0)
+    normals[~good] = 0.0
+    normals[good] /= largest[good, None]  # so that no square leaves float64
+    squares = normals * normals
+    length = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
+    normals[good] /= length[good, None]
+    return normals
 
 
 def soup_part(msg: Any, parts: Mapping[str, Part], max_triangles: int) -> Changes:

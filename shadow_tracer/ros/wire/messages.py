@@ -298,8 +298,8 @@ def image_layout(pixels: npt.NDArray[Any], encoding: str) -> dict[str, Any]:
     """The fields of an image that say how its bytes are to be read; they are those of C-contiguous ``pixels``.
 
     Args:
-        pixels: (H, W) or (H, W, channels), uint8 or uint16.
-        encoding: what ROS calls that: mono8, rgb8, 16UC1.
+        pixels: (H, W) or (H, W, channels), uint8, uint16 or float32.
+        encoding: what ROS calls that: mono8, rgb8, 16UC1, 32FC1.
 
     Returns:
         ``height``, ``width`` [px], ``encoding``, ``is_bigendian``, ``step`` [bytes].
@@ -318,8 +318,8 @@ def image_message(pixels: npt.NDArray[Any], encoding: str, depth: Image) -> Imag
     """An image with the header of the depth image it belongs to.
 
     Args:
-        pixels: (H, W) or (H, W, channels), uint8 or uint16.
-        encoding: what ROS calls that: mono8, rgb8, 16UC1.
+        pixels: (H, W) or (H, W, channels), uint8, uint16 or float32.
+        encoding: what ROS calls that: mono8, rgb8, 16UC1, 32FC1.
         depth: the depth image; of its class the message is.
     """
     pixels = np.ascontiguousarray(pixels)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 NO_TF = "tf2_ros cannot be imported here (install ros-jazzy-tf2-ros-py and source the installation); without it "
-STATIC_PERIOD = 1.0  # a static transform may be published anew; it is looked up again after this many seconds
+STATIC_PERIOD = 1.0  # a static transform may be published again; it is looked up again after this many seconds
 
 
 class TransformSource(Protocol):

@@ -18,6 +18,7 @@ _ON, _OFF = (1.0, 0.85, 0.3, 1.0), (0.45, 0.45, 0.45, 0.7)
 _BULB = 0.06  # diameter of a light without a size [m]
 _LENGTH = 1.0  # of arrows, and of cones without range [m]
 _LONGEST = 5.0  # of a cone [m]
+_NORMAL = 0.2  # length of the line that says to which side a flat light shines [m]
 _LETTER = 0.08  # height [m]
 _RIM, _RIBS = 32, 8  # pieces of the rim of a cone, lines from its apex to it
 
@@ -57,6 +58,10 @@ def _shapes(light: LightSettings, base: MarkerMessage) -> list[MarkerMessage]:
         size = 2.0 * light.radius if light.type == "sphere" else _BULB
         label = position + (0.0, 0.0, size / 2 + _LETTER)
         shapes.append(replace(base, type=SPHERE, position=(x, y, z), scale=(size, size, size)))
+    if light.type in ("disc", "rectangle", "tube"):
+        label = label + (0.0, 0.0, max(light.radius, *light.size) / 2)
+        lines = position + _outline(light, way)
+        shapes.append(replace(base, id=1, type=LINE_LIST, points=lines, scale=(0.008, 1.0, 1.0)))
     if light.type == "spot":
         label = position - 2 * _LETTER * way
         reach = min(light.range, _LONGEST) if light.range > 0.0 else _LENGTH
@@ -67,6 +72,30 @@ def _shapes(light: LightSettings, base: MarkerMessage) -> list[MarkerMessage]:
     return [*shapes, replace(base, id=2, type=TEXT, position=(x, y, z), scale=(1.0, 1.0, _LETTER), text=text)]
 
 
+def _outline(light: LightSettings, way: FloatArray) -> FloatArray:
+    """(N, 3) ends of the lines of a light with a shape, around 0: its edges, and where its middle shines."""
+    if light.type == "tube":
+        half = light.half_length
+        lines = [np.stack([-half, half])]
+        if light.radius > 0.0:
+            rim = light.radius * _rim(half / np.linalg.norm(half), math.pi / 2)
+            ribs = rim[:: _RIM // _RIBS]
+            lines += [_pieces(rim - half), _pieces(rim + half), np.stack([ribs - half, ribs + half], axis=1)]
+        return np.concatenate([piece.reshape(-1, 3) for piece in lines])
+    if light.type == "disc":
+        edges = _pieces(light.radius * _rim(way, math.pi / 2))
+    else:
+        u, v = light.sides
+        edges = _pieces(np.stack([u + v, v - u, -u - v, u - v]))
+    sides = (1.0, -1.0) if light.two_sided else (1.0,)
+    return np.concatenate([edges, *(np.stack([np.zeros(3), side * _NORMAL * way]) for side in sides)])
+
+
+def _pieces(corners: FloatArray) -> FloatArray:
+    """(2 N, 3) ends of the lines of a closed line through (N, 3) corners."""
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1).reshape(-1, 3)
+
+
 def _cone(way: FloatArray, angle: float) -> FloatArray:
     """(N, 3) ends of the lines of a cone with its apex at 0 and lines of length 1.
 
@@ -74,12 +103,17 @@ def _cone(way: FloatArray, angle: float) -> FloatArray:
         way: (3,) unit vector along its axis.
         angle: between axis and lines [rad], up to pi.
     """
+    rim = _rim(way, angle)
+    ribs = rim[:: _RIM // _RIBS]
+    return np.concatenate([_pieces(rim), np.stack([np.zeros_like(ribs), ribs], axis=1).reshape(-1, 3)])
+
+
+def _rim(way: FloatArray, angle: float) -> FloatArray:
+    """(_RIM, 3) unit vectors at an angle [rad] to the unit vector ``way``, all around it."""
     aside = np.eye(3)[int(np.argmin(np.abs(way)))]
     u = np.cross(way, aside)
     u /= np.linalg.norm(u)
     turn = np.arange(_RIM) * (2.0 * math.pi / _RIM)
     around = np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * np.cross(way, u)
-    rim = math.cos(angle) * way + math.sin(angle) * around
-    pieces = np.stack([rim, np.roll(rim, -1, axis=0)], axis=1)
-    ribs = rim[:: _RIM // _RIBS]
-    return np.concatenate([pieces, np.stack([np.zeros_like(ribs), ribs], axis=1)]).reshape(-1, 3)
+    rim: FloatArray = math.cos(angle) * way + math.sin(angle) * around
+    return rim

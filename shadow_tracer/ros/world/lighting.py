@@ -15,7 +15,8 @@ from shadow_tracer.ros.world.sun import Sun
 
 @dataclass(frozen=True, eq=False)
 class LightPose:
-    """Where a topic put a light: a pose in a frame, "" being the light's own; it shines along +x."""
+    """Where a topic put a light: a pose in a frame, "" being the light's own; it shines along +x, and its axis is
+    along +y."""
 
     frame: str
     pose: FloatArray
@@ -38,7 +39,7 @@ class Lighting:
         self._sun = Sun()
 
     def move(self, name: str, pose: LightPose) -> None:
-        """A light was given a pose; it holds until the next one or until its parameters are set anew."""
+        """A light was given a pose; it holds until the next one or until its parameters are set again."""
         self._poses[name] = pose
 
     def moved(self) -> tuple[str, ...]:
@@ -114,7 +115,9 @@ class Lighting:
             return light
         x, y, z = (float(value) for value in given.pose[:3, 3])
         u, v, w = (float(value) for value in given.pose[:3, 0])
-        return replace(light, frame=given.frame or light.frame, position=(x, y, z), direction=(u, v, w))
+        along, across, up = (float(value) for value in given.pose[:3, 1])
+        placed = replace(light, frame=given.frame or light.frame, position=(x, y, z))
+        return replace(placed, direction=(u, v, w), axis=(along, across, up))
 
     def _sun_direction(self, light: LightSettings, stamp: int) -> FloatArray | None:
         """(3,) the way sunlight travels, east, north, up; None at night."""
@@ -129,4 +132,5 @@ class Lighting:
 
 
 def _place_of(light: LightSettings) -> tuple[object, ...]:
-    return (light.frame, light.position, light.direction, light.type == "sun")  # the sun has no pose, only a frame
+    # The sun has no pose, only a frame.
+    return (light.frame, light.position, light.direction, light.axis, light.type == "sun")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from shadow_tracer.ros.diagnostics import Complaint, RateMeter, Window
@@ -21,6 +22,13 @@ MESH_KEY = "mesh"
 TOPICS = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud")
 # How the keys of the parts begin that a topic brings.
 _KEYS = {"mesh": MESH_KEY, "mesh_markers": PREFIX, "mesh_marker": PREFIX, "mesh_cloud": CLOUD}
+
+
+@dataclass(frozen=True, eq=False)
+class _MessagePart(Part):
+    """The mesh of a topic, with the message that it came in: the next one mostly has the same triangles."""
+
+    message: MeshMessage | None = None
 
 
 class MeshSource:
@@ -59,8 +67,6 @@ class MeshSources:
         self.files = ""
         self.ignored_markers = 0
         self._max_triangles = max_triangles
-        self._last: MeshMessage | None = None
-        self._next: MeshMessage | None = None
         self._readers: dict[str, Callable[[Any, int], Changes]] = {
             "mesh": self._mesh,
             "mesh_markers": self._markers,
@@ -97,8 +103,6 @@ class MeshSources:
             self.store.lacking = f"{error}; correct its publisher, or call ~/clear_meshes"
             return
         self.store.lacking = ""
-        if topic == "mesh":
-            self._last = self._next
         source.parsing.add((time.perf_counter() - start) * 1e3)
 
     def load_files(self, settings: Settings, now_ns: int) -> None:
@@ -128,14 +132,14 @@ class MeshSources:
         self.store.lacking = ""
         keys = tuple(key for key in self.store.parts if not key.startswith(FILES))
         self.store.commit(Changes(remove=keys), now_ns)
-        self._last = None
         return len(keys)
 
     def _mesh(self, data: bytes, _now_ns: int) -> Changes:
-        self._next = mesh = self.layouts.mesh(data, self._max_triangles, self._last)
+        known = self.store.parts.get(MESH_KEY)
+        mesh = self.layouts.mesh(data, self._max_triangles, known.message if isinstance(known, _MessagePart) else None)
         if not len(mesh.triangles):
             return Changes(remove=(MESH_KEY,))
-        return Changes((Part(MESH_KEY, mesh.vertices, mesh.triangles),))
+        return Changes((_MessagePart(MESH_KEY, mesh.vertices, mesh.triangles, message=mesh),))
 
     def _markers(self, data: bytes, now_ns: int) -> Changes:
         return self._take_markers(self.layouts.markers(data, self._max_triangles), now_ns, "mesh_markers")

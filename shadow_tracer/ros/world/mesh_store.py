@@ -50,8 +50,7 @@ class MeshStore:
         self._max_triangles = max_triangles
         self._parts: dict[str, Part] = {}
         self._received: dict[str, int] = {}
-        self._shown: dict[str, Part] = {}
-        self._at: dict[str, FloatArray] = {}  # where those shown are
+        self._shown: dict[str, tuple[Part, FloatArray]] = {}  # what the scene has, and where
         self._fixed: dict[str, tuple[Part, str, FloatArray]] = {}
 
     @property
@@ -177,7 +176,7 @@ class MeshStore:
         for key in self._shown.keys() - wanted.keys():
             if key in scene:
                 scene.remove(key)
-            del self._shown[key], self._at[key]
+            del self._shown[key]
         self._fixed = {key: value for key, value in self._fixed.items() if key in self._parts}
 
         def growth(part: Part) -> int:
@@ -211,13 +210,13 @@ class MeshStore:
         try:
             pose = _product(places.frame_to_world(frame, part.field, part.stamp or None), part.pose)
         except Missing as missing:
-            hint = "if that time is long past, publish it anew, or call ~/clear_meshes"
+            hint = "if that time is long past, publish it again, or call ~/clear_meshes"
             raise Missing(missing.status, f"{missing.text}; {hint}", missing.wait, missing.level) from missing
         self._fixed[part.key] = (part, places.world, pose)
         return pose
 
     def _apply(self, scene: Scene, part: Part, pose: FloatArray) -> None:
-        shown = self._shown.get(part.key)
+        shown, at = self._shown.get(part.key, (None, None))
         there = part.key in scene
         if shown is None or not there or shown.triangles is not part.triangles:
             scene.put(part.key, part.vertices, part.triangles, pose)
@@ -229,12 +228,11 @@ class MeshStore:
             else:
                 scene.deform(part.key, part.vertices)
                 self.updates["deform"] += 1
-        at = self._at.get(part.key)
         if there and (at is None or not (pose is at or np.array_equal(pose, at))):  # a check that many parts pass by
             revision = scene[part.key].pose_revision
             scene.move(part.key, pose)
             self.updates["move"] += scene[part.key].pose_revision != revision
-        self._shown[part.key], self._at[part.key] = part, pose
+        self._shown[part.key] = part, pose
 
 
 def _product(frame: FloatArray, pose: FloatArray) -> FloatArray:

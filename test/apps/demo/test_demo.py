@@ -84,6 +84,14 @@ def test_wrong_heights_are_refused(text: str, capsys: pytest.CaptureFixture[str]
     assert "animation-height: expected 60 to 1080 pixels" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("text", ["-1", "nan", "inf", "soon", ""])
+def test_wrong_budgets_are_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        demo.main([f"--budget={text}"])
+    assert ended.value.code == 2
+    assert "budget: expected 0 to 86400 seconds" in " ".join(capsys.readouterr().err.split())
+
+
 def test_size() -> None:
     assert size("640x480") == (640, 480)
 

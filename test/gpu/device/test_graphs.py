@@ -67,8 +67,7 @@ def test_replayed_frames_are_equal(way: tuple[str, str], any_device: str) -> Non
     got = _frames(recording)
     assert all(np.array_equal(a, b) for a, b in zip(expected, got, strict=True))
     assert any((state == 1).any() for state in expected) and any((state == 0).any() for state in expected)
-    engine: Any = recording._engine.inside
-    assert engine._graphs.recorded() >= 2
+    assert probe.recordings(recording) >= 2
 
 
 @_ways
@@ -90,30 +89,29 @@ def test_the_host_reads_only_what_it_has_fetched(
 ) -> None:
     """A frame of which everything is new, the way a GPU goes: to read an array of the device is to wait for it."""
     tracer = ShadowTracer(pipeline, device=any_device, bounds=_BOUNDS, graphs=True)
-    engine: Any = tracer._engine.inside
-    frame = engine._whole
-    frame.upload._staged = True
+    probe.stage_uploads(tracer)
+    host = probe.context(tracer).samples.host
     rng, (vertices, triangles) = np.random.default_rng(3), geometry.icosphere(2, 1.0, (0.0, 0.0, 3.0))
     lights = [PointLight("lamp", (0.0, -2.0, 0.5)), DirectionalLight("sun", (0.1, 0.2, 1.0))]
     tracer.scene.put("ball", vertices, triangles)
     read, numpy = [], wp.array.numpy
     monkeypatch.setattr(wp.array, "numpy", lambda array: read.append(array.ptr) or numpy(array))
     fetched = 0
-    original = frame.host.fetch
+    original = host.fetch
 
     def fetch(*args: Any) -> None:
         nonlocal fetched
         fetched += 1
         original(*args)
 
-    monkeypatch.setattr(frame.host, "fetch", fetch)
+    monkeypatch.setattr(host, "fetch", fetch)
     for step in range(5):
         tracer.scene.deform("ball", vertices * (1.0 + 0.01 * step))
         camera = _camera(step)
         traced = tracer.trace(_depth(rng, camera), camera, lights)
-    assert engine._graphs.recorded() == 1 and traced.counters["overflow_passes"] == 0
+    assert probe.recordings(tracer) == 1 and traced.counters["overflow_passes"] == 0
     assert fetched == 5
-    assert read and set(read) <= {mirror.ptr for mirror in frame.host._mirrors.values()}
+    assert read and set(read) <= probe.fetched(tracer)
 
 
 @_ways

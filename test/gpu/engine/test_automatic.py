@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import probe
 import pytest
 import views
 
@@ -151,7 +152,7 @@ def test_little_is_remembered() -> None:
     for rays in range(40):
         for triangles in range(40):
             chooser.learn(LIGHT_GRID, Situation(0, 1 << rays, 1 << triangles, 1), 1.0)
-    assert len(chooser._factors[LIGHT_GRID]) <= 512
+    assert probe.lessons(chooser, LIGHT_GRID) <= 512
 
 
 # --- with real pipelines ---
@@ -168,7 +169,7 @@ def test_bits_do_not_depend_on_the_choice(threads: int) -> None:
     seen = views.procedural_view("robots", "corridor", 192, 1500)
     made = ShadowTracer("auto", device="cpu", bounds=_BOUNDS, threads=threads)
     reference = ShadowTracer("mesh_bvh", device="cpu", bounds=_BOUNDS)
-    engine: Any = made._engine.inside
+    chooser: Any = probe.chooser(made)
     rng = np.random.default_rng(8)
     few = seen.triangles[::12]
     for step in range(12):
@@ -176,24 +177,24 @@ def test_bits_do_not_depend_on_the_choice(threads: int) -> None:
         triangles = few if step % 4 < 3 else few[::-1]
         for tracer in (made, reference):
             tracer.scene.put("mesh", vertices, triangles)
-        engine._chooser.forced = CANDIDATES[rng.integers(3)]
-        assert np.array_equal(_states(made, seen), _states(reference, seen)), engine._chooser.chosen
-        assert "/".join(engine._bands[0].names) == "/".join(engine._chooser.chosen)
+        chooser.forced = CANDIDATES[rng.integers(3)]
+        assert np.array_equal(_states(made, seen), _states(reference, seen)), chooser.chosen
+        assert probe.bands(made)[0].names == chooser.chosen == chooser.forced
 
 
 def test_it_is_warmed_up_calibrated_and_says_what_it_does() -> None:
     made = ShadowTracer("auto", device="cpu", bounds=replace(_BOUNDS, max_triangles=16384))
     assert (made.pipeline, made.variant) == ("auto", "measured") and made.choice
     assert made.warm_up() > 0.0
-    engine: Any = made._engine.inside
-    assert set(engine._chooser._base) == set(CANDIDATES) and engine._chooser.forced is None
+    chooser: Any = probe.chooser(made)
+    assert probe.calibrated(made) == set(CANDIDATES) and chooser.forced is None
     seen = views.procedural_view("robots", "corridor", 64, 300)
     made.scene.put("mesh", seen.vertices, seen.triangles)
     for _ in range(3):
         _states(made, seen)
     assert any(made.choice.startswith("/".join(names)) for names in CANDIDATES)
     made.select("light_grid")
-    assert made.choice == "" and engine._chooser is None
+    assert made.choice == "" and probe.chooser(made) is None
     before = made.device_bytes
     made.select("auto")
     assert made.device_bytes > before, "the buffers of all candidates count"
@@ -203,8 +204,8 @@ def test_it_is_warmed_up_calibrated_and_says_what_it_does() -> None:
 def test_small_bounds_leave_the_law() -> None:
     made = ShadowTracer("auto", device="cpu", bounds=Bounds(max_triangles=10, max_rays=100))
     made.warm_up()
-    engine: Any = made._engine.inside
-    assert engine._chooser._base == {} and engine._chooser.forced is None
+    chooser: Any = probe.chooser(made)
+    assert probe.calibrated(made) == set() and chooser.forced is None
 
 
 class _Lesson:
@@ -226,8 +227,8 @@ class _Lesson:
     def frame(self, names: Names, depth: np.ndarray | None = None) -> list[Names]:
         """Trace a frame by this candidate; who was told to have learned from it."""
         self._learned.clear()
-        engine: Any = self.tracer._engine.inside
-        engine._chooser.forced = names
+        chooser: Any = probe.chooser(self.tracer)
+        chooser.forced = names
         image = self.seen.depth if depth is None else depth
         self.tracer.trace(image, self.seen.camera, list(self.seen.lights), bias=self.seen.bias)
         return list(self._learned)
@@ -259,9 +260,9 @@ def test_points_that_another_candidate_was_asked_about_are_a_frame_missed(monkey
     lesson = _Lesson(monkeypatch)
     for names in (MESH_BVH, LIGHT_GRID, MESH_BVH):
         lesson.frame(names)
-    engine: Any = lesson.tracer._engine.inside
+    chooser: Any = probe.chooser(lesson.tracer)
     lesson.tracer.scene.deform("mesh", lesson.seen.vertices + 0.001)
-    engine._chooser.forced = LIGHT_GRID
+    chooser.forced = LIGHT_GRID
     lesson.tracer.occluded([[0.0, 0.0, 1.0]], lesson.seen.lights[0])
     lesson.tracer.scene.deform("mesh", lesson.seen.vertices + 0.002)
     assert lesson.frame(MESH_BVH) == []
@@ -287,7 +288,6 @@ def test_a_frame_that_is_recorded_teaches_nothing(monkeypatch: pytest.MonkeyPatc
     """To record the launches takes longer than to launch them, once."""
     lesson = _Lesson(monkeypatch, graphs=True)
     told = [lesson.frame(LIGHT_GRID) for _ in range(5)]
-    engine: Any = lesson.tracer._engine.inside
-    assert engine._graphs.recorded() == 1
+    assert probe.recordings(lesson.tracer) == 1
     # Kernels are loaded; the launches are recorded; and replayed.
     assert told == [[], [], [LIGHT_GRID], [LIGHT_GRID], [LIGHT_GRID]]

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import geometry
 import numpy as np
+import probe
 import pytest
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
@@ -130,8 +129,9 @@ def test_measurements_below_the_last_cut_there_can_be(threads: int) -> None:
     for count in (1, threads):
         tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=bounds, threads=count)
         tracer.scene.put("ball", *geometry.icosphere(2, 0.8, (0.0, 1.5, 2.5)))
-        for balance in tracer._engine.inside._balances.values():
-            balance._wanted = np.sqrt(balance._wanted)
+        bands = len(probe.bands(tracer))
+        for balance in probe.balances(tracer).values():
+            probe.cut_at(balance, np.sqrt(np.arange(1, bands) / bands))
         found.append([tracer.trace(depth, camera, [_LAMP]).state("lamp") for _ in range(2)])
     assert np.array_equal(found[0], found[1]) and {0, 3} <= set(np.unique(found[0]))
 
@@ -157,36 +157,33 @@ def test_moving_cuts_change_no_bit(names: str, monkeypatch: pytest.MonkeyPatch) 
     one = ShadowTracer(*names.split("/"), device="cpu", bounds=_BOUNDS, threads=1)
     rng, counts = np.random.default_rng(3), set()
     vertices, triangles = geometry.icosphere(3, 0.8, (0.0, 0.0, 2.5))
-    engine: Any = tracer._engine.inside
-    for balance in engine._balances.values():
-        monkeypatch.setattr(balance, "learn", lambda times, it=balance: it.__setattr__("_wanted", rng.uniform(0, 1, 1)))
+    for balance in probe.balances(tracer).values():
+        monkeypatch.setattr(balance, "learn", lambda times, it=balance: probe.cut_at(it, rng.uniform(0, 1, 1)))
     for step in range(10):
         for each in (tracer, one):
             each.scene.put("ball", vertices * (1.0 + 0.01 * step), triangles)
         depth = _depth(step)
         found, expected = (each.trace(depth, _CAMERA, [_LAMP]).state("lamp") for each in (tracer, one))
         assert np.array_equal(found, expected) and {0, 1} <= set(np.unique(found))
-        counts.add(tuple(band.samples.count for band in engine._bands))
+        counts.add(tuple(band.samples.count for band in probe.bands(tracer)))
     assert len(counts) > 5 and max(max(pair) for pair in counts) <= 0.625 * 65536
 
 
 @pytest.mark.wide
-def test_the_same_image_is_cut_as_before() -> None:
+def test_the_same_image_is_cut_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else its rays would be made again. What a frame with kept rays takes teaches nothing."""
     tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=_BOUNDS, threads=2)
     tracer.scene.put("ball", *geometry.icosphere(3, 0.8, (0.0, 0.0, 2.5)))
-    engine: Any = tracer._engine.inside
-    (balance,) = engine._balances.values()
+    (balance,) = probe.balances(tracer).values()
     for step in range(3):
         tracer.trace(_depth(step), _CAMERA, [_LAMP])
     learned, again = [], []
-    balance.learn = learned.append
-    balance._wanted = np.array([0.4])
+    monkeypatch.setattr(balance, "learn", learned.append)
     depth = _depth(9)
-    for _ in range(3):
+    for part in (0.4, 0.42, 0.44):
+        probe.cut_at(balance, [part])
         tracer.trace(depth, _CAMERA, [_LAMP])
-        again.append([band._again for band in engine._bands])
-        balance._wanted = balance._wanted + 0.02
+        again.append(probe.rays_again(tracer))
     assert again == [[False, False], [True, True], [True, True]]
     assert len(learned) == 1 and len(learned[0]) == 2 and all(seconds > 0.0 for seconds in learned[0])
 
@@ -194,8 +191,8 @@ def test_the_same_image_is_cut_as_before() -> None:
 @pytest.mark.wide
 def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
     tracer = ShadowTracer("auto", device="cpu", bounds=_BOUNDS, threads=2)
-    engine: Any = tracer._engine.inside
-    assert set(engine._balances) == {names for names, bands in engine._bands_of.items() if len(bands) == 2}
-    assert len({id(balance) for balance in engine._balances.values()}) == len(engine._balances) >= 2
+    balances = probe.balances(tracer)
+    assert set(balances) == {names for names, count in probe.band_counts(tracer).items() if count == 2}
+    assert len({id(balance) for balance in balances.values()}) == len(balances) >= 2
     single = ShadowTracer("light_grid", "spherical", device="cpu", bounds=_BOUNDS, threads=2)
-    assert single._engine.inside._balances == {}
+    assert probe.balances(single) == {}

@@ -10,6 +10,7 @@ from typing import Any
 import geometry
 import numpy as np
 import probe
+import probe_accelerators
 import pytest
 
 from shadow_tracer import Bias, Bounds, Camera, PointLight, ShadowTracer, State
@@ -91,10 +92,9 @@ def test_a_tree_of_no_rays_is_built() -> None:
     tracer = _with_a_ball(_tracer("cone_hierarchy/linear", 1))
     small = Camera(8, 8, 8.0, 8.0, 3.5, 3.5)
     _states(tracer, np.full((8, 8), 3.0, np.float32), small)
-    only: Any = tracer._engine.inside._bands[0]
-    only.samples.set_samples(0, 8, 0)
-    _in_time(only.pipeline._buffers.build, 0)
-    assert only.pipeline._buffers.tree.levels == 1
+    probe.context(tracer).samples.set_samples(0, 8, 0)
+    _in_time(probe_accelerators.build_again, tracer, 0)
+    assert probe_accelerators.levels(tracer) == 1
 
 
 class _Ways:
@@ -169,7 +169,7 @@ def test_a_stage_that_one_share_does_for_all_is_not_lost(monkeypatch: pytest.Mon
     """Of bands side by side the slowest is told, and what only others did."""
     tracer = _with_a_ball(_tracer("brute_force"))
     _states(tracer, _depth())
-    first, second = (one.stages for one in tracer._engine.inside._bands)
+    first, second = (one.stages for one in probe.bands(tracer))
     monkeypatch.setattr(first, "read", lambda: {"setup": 3.0, "project": 1.0, "trace": 2.0})
     monkeypatch.setattr(second, "read", lambda: {"unproject": 1.0, "project": 4.0, "trace": 8.0})
     stages = tracer.trace(_depth(), _CAMERA, _LIGHTS).stages

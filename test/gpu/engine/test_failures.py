@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import geometry
@@ -110,12 +111,12 @@ def test_a_selection_that_fails_changes_nothing(names: str, wanted: str, monkeyp
     if wanted == names:
         return
     before = tracer.device_bytes
-    chooser = tracer._engine.chooser
+    chooser = probe.chooser(tracer)
     with monkeypatch.context() as patch:
         _fail_once(patch, frame_tracer, "Band", 2 if wanted == "auto" else 0)  # in the middle of the candidates
         with pytest.raises(_Out):
             tracer.select(wanted)
-    assert tracer.pipeline == names and tracer._engine.chooser is chooser and tracer.device_bytes == before
+    assert tracer.pipeline == names and probe.chooser(tracer) is chooser and tracer.device_bytes == before
     assert np.array_equal(_states(tracer), expected)
     tracer.select(wanted)
     assert tracer.pipeline == wanted and np.array_equal(_states(tracer), expected)
@@ -128,17 +129,19 @@ def test_a_selection_that_fails_keeps_the_second_pipeline(monkeypatch: pytest.Mo
         _fail_once(patch, frame_tracer, "Band")
         with pytest.raises(_Out):
             tracer.select("mesh_bvh")
-    assert tracer._engine.verifier == "mesh_bvh" and tracer.verify(_DEPTH, _CAMERA, _LIGHTS) == 0
+    assert probe.verifier(tracer) == "mesh_bvh" and tracer.verify(_DEPTH, _CAMERA, _LIGHTS) == 0
 
 
 @pytest.mark.parametrize("candidate", range(len(CANDIDATES)))
 def test_a_warm_up_that_fails_forces_no_choice(candidate: int, monkeypatch: pytest.MonkeyPatch) -> None:
     tracer = _tracer("auto")
     with monkeypatch.context() as patch:
-        _fail_once(patch, tracer, "_trace_triangle", candidate)
+        turn = SimpleNamespace(begins=lambda: None)
+        _fail_once(patch, turn, "begins", candidate)
+        probe.before_small_scenes(tracer, patch, lambda: turn.begins())
         with pytest.raises(_Out):
             tracer.warm_up()
-    chooser = tracer._engine.chooser
+    chooser = probe.chooser(tracer)
     assert chooser is not None and chooser.forced is None
     _states(tracer)
     assert tracer.choice.startswith("/".join(chooser.chosen))
@@ -148,7 +151,7 @@ def test_a_warm_up_that_fails_forces_no_choice(candidate: int, monkeypatch: pyte
 def test_what_a_pipeline_shares_is_freed_with_its_last_user() -> None:
     """Vertices seen from a light belong to all bands that need them; whoever verifies has separate ones."""
     tracer = _tracer("mesh_bvh")
-    shared = tracer._engine.inside._context.shared
+    shared = probe.context(tracer).shared
     plain = tracer.device_bytes
     tracer.prepare_verify("cone_hierarchy")
     assert shared.find(Corners) is None and tracer.device_bytes > plain

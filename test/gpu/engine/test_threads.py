@@ -10,6 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import probe
+import probe_accelerators
 import pytest
 import views
 
@@ -43,12 +45,6 @@ def states(made: ShadowTracer, seen: views.View, depth: np.ndarray | None = None
     return second
 
 
-def bands(made: ShadowTracer) -> list[band.Band]:
-    engine: Any = made._engine.inside
-    bands: list[band.Band] = engine._bands
-    return bands
-
-
 @pytest.mark.wide
 @pytest.mark.parametrize("names", [*_VARIANTS, *_WALKERS], ids="/".join)
 @pytest.mark.parametrize("threads", [2, 3])
@@ -57,11 +53,11 @@ def test_every_number_of_threads_gives_the_same_bits(names: tuple[str, str], thr
     if names[0] == "brute_force":
         seen = replace(seen, triangles=seen.triangles[::10])
     made = tracer(names, threads)
-    assert made.threads == len(bands(made)) == threads and len(bands(tracer(names, 1))) == 1
+    assert made.threads == len(probe.bands(made)) == threads and len(probe.bands(tracer(names, 1))) == 1
     found = states(made, seen)
     assert np.array_equal(found, states(tracer(names, 1), seen))
-    assert all(part.samples.count > 0 for part in bands(made))
-    assert sum(part.samples.count for part in bands(made)) == _COUNT
+    assert all(part.samples.count > 0 for part in probe.bands(made))
+    assert sum(part.samples.count for part in probe.bands(made)) == _COUNT
 
 
 @pytest.mark.wide
@@ -73,11 +69,10 @@ def test_shares_divide_what_is_made_on_demand(threads: int) -> None:
     for step in range(3):
         moved = replace(seen, vertices=seen.vertices + 0.01 * step)
         assert np.array_equal(states(made, moved), states(one, moved))
-    for part in bands(made):
-        way: Any = part.pipeline._way  # type: ignore[attr-defined]
-        asked = way._clusters.numpy()[: way._ends.numpy()[0]]
+    for part in probe.bands(made):
+        asked = probe_accelerators.clusters(part.pipeline)
         assert len(asked) and (np.diff(asked) > 0).all()
-        assert (way._candidates._made.numpy()[np.unique(asked // 8)] == 2).all()
+        assert probe_accelerators.blocks_made(part.pipeline)[np.unique(asked // 8)].all()
 
 
 @pytest.mark.wide
@@ -93,7 +88,7 @@ def test_measurements_in_one_place(kept: str) -> None:
         depth[rows[kept]] = seen.depth[rows[kept]]
     made = tracer(("light_grid", "packed"), 2)
     assert np.array_equal(states(made, seen, depth), states(tracer(("light_grid", "packed"), 1), seen, depth))
-    assert max(part.samples.count for part in bands(made)) <= math.ceil(0.625 * _COUNT)
+    assert max(part.samples.count for part in probe.bands(made)) <= math.ceil(0.625 * _COUNT)
 
 
 @pytest.mark.wide
@@ -113,7 +108,7 @@ def test_samples_that_one_share_would_be_enough_for_if_it_had_room(count: int, u
         assert np.array_equal(frames[0].state(name), frames[1].state(name))
         light = next(light for light in seen.lights if light.name == name)
         assert np.array_equal(made.occluded(points, light), one.occluded(points, light))
-    assert sum(part.samples.count > 0 for part in bands(made)) == used
+    assert sum(part.samples.count > 0 for part in probe.bands(made)) == used
 
 
 @pytest.mark.parametrize("shape", [(251, 257), (64, 1021), (1021, 64), (1, 65536), (65535, 1)])
@@ -135,7 +130,7 @@ def test_images_that_do_not_divide(shape: tuple[int, int]) -> None:
 def test_small_lists_of_every_share(names: tuple[str, str]) -> None:
     seen = view()
     made = tracer(names, 2, replace(_BOUNDS, queue_capacity=1, grid_entries=77))
-    assert [part.samples.bounds.grid_entries for part in bands(made)] == [38, 38]
+    assert [part.samples.bounds.grid_entries for part in probe.bands(made)] == [38, 38]
     assert np.array_equal(states(made, seen), states(tracer(names, 1), seen))
 
 
@@ -182,7 +177,7 @@ def test_pipelines_change_and_verify_works_beside_bands() -> None:
         (("light_grid", "packed"), 2),
     ):
         made.select(*names)
-        assert len(bands(made)) == count
+        assert len(probe.bands(made)) == count
         assert np.array_equal(states(made, seen), expected)
     assert made.verify(seen.depth, seen.camera, list(seen.lights), bias=seen.bias) == 0
 

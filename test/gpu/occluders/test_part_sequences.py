@@ -12,6 +12,7 @@ from typing import Any
 import geometry
 import numpy as np
 import probe
+import probe_occluders
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, Scene, ShadowTracer, available_pipelines
@@ -128,7 +129,7 @@ def _sequence(seed: int, length: int = 40) -> tuple[_Step, ...]:
     return tuple(steps)
 
 
-def _walk(tracer: ShadowTracer, seed: int, exact_counts: bool) -> list[probe.Layout]:
+def _walk(tracer: ShadowTracer, seed: int, exact_counts: bool) -> list[probe_occluders.Layout]:
     """Every frame is right; how the scene lay in each."""
     layouts = []
     for number, step in enumerate(_sequence(seed)):
@@ -141,7 +142,7 @@ def _walk(tracer: ShadowTracer, seed: int, exact_counts: bool) -> list[probe.Lay
         if exact_counts:
             assert counted == step.silent[1:], number
         assert all(some <= every for some, every in zip(counted, step.silent[1:], strict=True)), number
-        layouts.append(probe.layout(tracer))
+        layouts.append(probe_occluders.layout(tracer))
     return layouts
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import geometry
 import numpy as np
 import probe
+import probe_occluders
 import pytest
 
 from shadow_tracer import Bounds, BoundsError, DirectionalLight, PointLight, ShadowTracer
@@ -54,7 +55,7 @@ class _World:
     def __init__(self, names: str, device: str, monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
         self.tracer = ShadowTracer(*names.split("/"), device=device, **{"bounds": _BOUNDS, "threads": 1, **more})
         self.scene = self.tracer.scene
-        self._copied = probe.scene_uploads(self.tracer, monkeypatch)
+        self._copied = probe_occluders.scene_uploads(self.tracer, monkeypatch)
         self._device = device
 
     def states(self) -> np.ndarray:
@@ -72,7 +73,7 @@ class _World:
         for mesh in self.scene:
             fresh.scene.put(mesh.name, mesh.vertices, mesh.triangles, mesh.pose, nonfinite="skip")
         assert np.array_equal(found, fresh.states_at(_POINTS, _LIGHTS))
-        assert probe.layout(self.tracer).live == self.scene.triangle_count
+        assert probe_occluders.layout(self.tracer).live == self.scene.triangle_count
         return copied
 
     def expected(self, triangles: int, local: int, placed: int) -> dict[str, int]:
@@ -106,7 +107,7 @@ def test_a_marker_that_comes_and_goes_copies_nothing_of_a_terrain(world: _World,
     for name in (first, *(set(meshes) - {first})):
         scene.put(name, *meshes[name])
     world.copied()
-    begin = probe.layout(world.tracer).first["terrain"]
+    begin = probe_occluders.layout(world.tracer).first["terrain"]
     assert begin == ((7, 2) if first == "marker" else (1, 0))
     scene.remove("marker")
     assert world.copied() == {}
@@ -118,10 +119,10 @@ def test_a_marker_that_comes_and_goes_copies_nothing_of_a_terrain(world: _World,
     assert world.copied() == world.expected(1, 3, 3)
     scene.put("second", *_marker(1, 0.5))
     assert world.copied() == world.expected(1, 3, 3)
-    assert probe.layout(world.tracer).looked_at == _TERRAIN + 2
+    assert probe_occluders.layout(world.tracer).looked_at == _TERRAIN + 2
     scene.move("terrain", geometry.pose_of(np.eye(3), (0.0, 0.0, -0.1)))
     assert world.copied() == world.expected(0, 0, _CORNERS)
-    assert probe.layout(world.tracer).first["terrain"] == begin
+    assert probe_occluders.layout(world.tracer).first["terrain"] == begin
 
 
 @pytest.mark.parametrize("first", ["marker", "terrain"])
@@ -136,7 +137,7 @@ def test_only_what_a_marker_touches_is_made_again(world: _World, first: str) -> 
     block, corner = (0, 1) if first == "marker" else (_TERRAIN // 128, _CORNERS + 1)
     corners = set(range(corner, corner + 6))
     world.copied()
-    assert probe.layout(tracer).places == 2
+    assert probe_occluders.layout(tracer).places == 2
     steps: list[tuple[Any, set[int], set[int]]] = [
         (lambda: scene.move("marker", geometry.pose_of(np.eye(3), (0.1, 0.0, 0.1))), {block}, corners),
         (lambda: scene.deform("marker", _marker(at=0.2)[0]), {block}, corners),
@@ -146,13 +147,13 @@ def test_only_what_a_marker_touches_is_made_again(world: _World, first: str) -> 
     ]
     for number, (step, blocks, vertices) in enumerate(steps):
         step()
-        found = probe.remade(tracer, world.states)
+        found = probe_occluders.remade(tracer, world.states)
         assert found["records"] == blocks, number
         assert found.get("vertices", vertices) == vertices, number
         assert found.get("boxes", set()) <= {each // 2 for each in blocks}, number
     scene.move("terrain", geometry.pose_of(np.eye(3), (0.0, 0.0, -0.1)))
     rests = _TERRAIN // 128 if first == "terrain" else None
-    assert rests not in probe.remade(tracer, world.states)["records"]
+    assert rests not in probe_occluders.remade(tracer, world.states)["records"]
 
 
 @probe.in_forms("names", ["light_grid/packed"], ["light_grid/packed", "cone_hierarchy/linear"])
@@ -166,7 +167,7 @@ def test_recorded_frames_make_what_a_marker_touches(make: Make) -> None:
         world.copied()
     assert probe.recordings(world.tracer) == 1
     world.scene.move("marker", np.eye(4))
-    assert probe.remade(world.tracer, world.states)["records"] == {_TERRAIN // 128}
+    assert probe_occluders.remade(world.tracer, world.states)["records"] == {_TERRAIN // 128}
     for at in (0.4, -0.3, 0.1):
         world.scene.deform("terrain", _terrain(2)[0])
         world.scene.move("marker", geometry.pose_of(np.eye(3), (at, 0.0, 0.0)))
@@ -183,21 +184,21 @@ def test_gaps_of_many_parts_are_filled_or_closed(make: Make) -> None:
     for number in range(0, 6, 2):
         world.scene.remove(f"part {number}")
     assert world.copied() == {}
-    now = probe.layout(world.tracer)
+    now = probe_occluders.layout(world.tracer)
     assert (now.live, now.looked_at) == (700, 1000)
     world.scene.put("fits", *_marker(60, -0.2))
     assert world.copied() == world.expected(60, 180, 180)
-    assert probe.layout(world.tracer).first["fits"] == (1, 0)
+    assert probe_occluders.layout(world.tracer).first["fits"] == (1, 0)
     world.scene.put("does not", *_marker(240, -0.4))
     assert world.copied()["triangles"] >= 240 + 600
-    now = probe.layout(world.tracer)
+    now = probe_occluders.layout(world.tracer)
     assert (now.live, now.looked_at) == (1000, 1000)
     with pytest.raises(BoundsError):
         world.scene.put("more", *_marker(1))
     for number in (1, 3, 5, 7):
         world.scene.remove(f"part {number}")
     world.copied()
-    now = probe.layout(world.tracer)
+    now = probe_occluders.layout(world.tracer)
     assert now.live == now.looked_at == 600, "gaps of more than half of what there is are closed"
 
 

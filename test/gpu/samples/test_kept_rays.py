@@ -8,6 +8,7 @@ from typing import Any
 
 import geometry
 import numpy as np
+import probe
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
@@ -69,7 +70,7 @@ class _Pair:
 
     def check(self, depth: np.ndarray, camera: Camera, lights: list[Any], bias: float) -> None:
         found = self.tracer.trace(depth, camera, lights, bias=bias)
-        self._forget()
+        probe.forget(self.oracle, "")
         expected = self.oracle.trace(depth, camera, lights, bias=bias)
         for light in lights:
             assert np.array_equal(found.state(light.name), expected.state(light.name)), light.name
@@ -77,12 +78,8 @@ class _Pair:
 
     def check_points(self, points: np.ndarray, light: Any, bias: float) -> None:
         found = self.tracer.occluded(points, light, bias=bias)
-        self._forget()
+        probe.forget(self.oracle, "")
         assert np.array_equal(found, self.oracle.occluded(points, light, bias=bias))
-
-    def _forget(self) -> None:
-        made: Any = self.oracle._engine.inside
-        made._samples.forget()
 
 
 @pytest.mark.wide
@@ -204,7 +201,7 @@ def test_rays_that_another_pipeline_has_overwritten_are_made_again(projected: li
     rng = np.random.default_rng(30)
     depth = _depth(rng)
     tracers = [ShadowTracer(name, device="cpu", bounds=_bounds(), threads=1) for name in ("auto", "brute_force")]
-    chooser: Any = tracers[0]._engine.chooser
+    chooser: Any = probe.chooser(tracers[0])
     points = _CAMERA.unproject(depth.astype(np.float64)).reshape(-1, 3)
     for sample in rng.choice(np.flatnonzero(np.isfinite(points[:, 2])), 10, replace=False):
         lights = [PointLight("near", points[sample] + 1e-7), PointLight("far", (0.3, -0.4, -0.5))]

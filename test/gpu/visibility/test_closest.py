@@ -12,6 +12,7 @@ import data
 import geometry
 import numpy as np
 import probe
+import probe_occluders
 import pytest
 import sequences
 from depth_views import VIEWS, generator, lens, look
@@ -240,7 +241,7 @@ def test_the_scene_of_a_tracer(any_device: str, names: tuple[str, str | None]) -
     seen = probe.closest_hits(tracer, camera)
     expected, number = DepthCamera(any_device, bounds).render(tracer.scene, camera)
     assert seen.depth.tobytes() == expected.tobytes()
-    parts = probe.layout(tracer).first
+    parts = probe_occluders.layout(tracer).first
     first = np.concatenate([np.arange(len(mesh.triangles)) + parts[mesh.name][1] for mesh in tracer.scene])
     assert (number >= 0).any() and np.array_equal(seen.triangle, np.where(number < 0, -1, first[number]).reshape(-1))
     assert np.array_equal(tracer.trace(depth, camera, [lamp]).state("lamp"), before)

@@ -14,10 +14,21 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from harness import FOCAL, HEIGHT, WIDTH, Rig, nanoseconds, plate, wall
 from node_world import BIAS, UNKNOWN, all_unknown, camera, library, library_with_plate, pose_msg, shadow_size
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image
 from tf_double import Buffer, module, transform
 
-from shadow_tracer import DirectionalLight, Frame, PointLight, ShadowTracer, SphereLight, SpotLight
+from shadow_tracer import (
+    DirectionalLight,
+    DiscLight,
+    Frame,
+    PointLight,
+    RectangleLight,
+    ShadowTracer,
+    SphereLight,
+    SpotLight,
+    SunDisc,
+    TubeLight,
+)
 from shadow_tracer.ros.cameras.overlay import overlay
 from shadow_tracer.ros.diagnostics import ERROR, OK, PROCESSING, TRANSFORMS, WARN
 from shadow_tracer.ros.wire.messages import rigid
@@ -255,6 +266,78 @@ def test_a_sphere_casts_soft_shadows(tracer: ShadowTracer) -> None:
         place(rig, "lamp", (-0.4, 0.3, 0.1))
         sphere = SphereLight("lamp", (-0.4, 0.3, 0.1), 0.05, range=2.2)
         np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, sphere).mask(unknown=UNKNOWN))
+
+
+SHAPES: dict[str, tuple[dict[str, Any], Any]] = {
+    "disc": ({"radius": 0.2}, DiscLight("lamp", (0.5, -0.5, 0.0), (0, 0, 1), 0.2)),
+    "rectangle": ({"size": [0.4, 0.2]}, RectangleLight("lamp", (0.5, -0.5, 0.0), (0.2, 0, 0), (0, 0.1, 0))),
+    "tube": ({"length": 0.5, "radius": 0.02}, TubeLight("lamp", (0.25, -0.5, 0.0), (0.75, -0.5, 0.0), 0.02)),
+    "directional": ({"angular_diameter": 0.1}, SunDisc("lamp", (0, 0, 1), 0.1)),
+}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_the_part_of_a_light_that_is_seen(tracer: ShadowTracer, kind: str) -> None:
+    """32FC1, the library's numbers bit for bit, NaN where nothing is known, with a camera_info beside it; whatever
+    becomes of masks."""
+    group, light = SHAPES[kind]
+    parameters = {f"lights.lamp.{key}": value for key, value in {"type": kind, **group}.items()}
+    with Rig({**parameters, "camera_info_policy": "exact", "mask.dilate": 3, "mask.invert": True}) as rig:
+        shares = rig.collect(Image, "shadow_tracer/visibility/lamp")
+        infos = [rig.collect(CameraInfo, f"shadow_tracer/visibility/{where}camera_info") for where in ("", "lamp/")]
+        rig.send_mesh(*plate())
+        depth = wall()
+        depth[0, 0] = np.nan
+        stamp = rig.send_frame(depth)
+        msg = rig.until(lambda: next((m for m in shares if nanoseconds(m.header.stamp) == stamp), None))
+        assert (msg.encoding, msg.step, msg.header.frame_id) == ("32FC1", 4 * WIDTH, "camera")
+        share = np.frombuffer(msg.data, np.float32).reshape(HEIGHT, WIDTH)
+        frame = tracer.trace(depth, camera(), [light], bias=BIAS)
+        np.testing.assert_array_equal(share, frame.visibility("lamp"))
+        assert np.isnan(share[0, 0]) and ((share > 0) & (share < 1)).sum() > 20
+        for heard in infos:
+            info = rig.until(lambda: heard and heard[-1])  # noqa: B023
+            assert nanoseconds(info.header.stamp) == stamp and info.width == WIDTH
+        before = len(shares)
+        stamp = rig.send_frame(wall(), info=False)  # nothing is known
+        msg = rig.until(lambda: next((m for m in shares[before:] if nanoseconds(m.header.stamp) == stamp), None))
+        assert np.isnan(np.frombuffer(msg.data, np.float32)).all()
+        assert rig.set(light_names=["sky"]) == ""
+        assert "lamp" not in rig.core.outputs.shares and set(rig.core.outputs.infos) == {
+            f"{kind}/{name}" for kind in ("mask", "visibility") for name in ("", "sky/")
+        }
+
+
+def test_a_tube_and_a_panel_follow_the_pose_of_their_topic(tracer: ShadowTracer) -> None:
+    """The pose's x is where a panel shines, its y the axis."""
+    with Rig({"lights.lamp.type": "rectangle", "lights.lamp.size": [0.2, 0.4]}) as rig:
+        rig.send_mesh(*plate())
+        place(rig, "lamp", (-0.4, 0.3, 0.1), ALONG_Z)
+        panel = RectangleLight("lamp", (-0.4, 0.3, 0.1), (0, 0.1, 0), (-0.2, 0, 0))
+        np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, panel).mask())
+        assert rig.set(lights__lamp__type="tube", lights__lamp__length=0.5, lights__lamp__radius=0.0) == ""
+        place(rig, "lamp", (-0.4, 0.3, 0.1), ALONG_Z)
+        tube = TubeLight("lamp", (-0.4, 0.05, 0.1), (-0.4, 0.55, 0.1))
+        np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, tube).mask())
+        assert "lights.lamp.radius" in rig.set(lights__lamp__type="disc")
+
+
+def test_what_a_light_ignores(tracer: ShadowTracer) -> None:
+    """The plate casts shadow in one light and not in the other; a name that no part has is told."""
+    names = ["lamp", "other"]
+    with Rig({"light_names": names, "lights.lamp.ignore": ["mesh"]}) as rig:
+        rig.listen_to_light("lamp")
+        rig.listen_to_light("other")
+        rig.send_mesh(*plate())
+        stamp = rig.send_frame(wall())
+        frame = expected(tracer, PointLight("other", (0.5, -0.5, 0.0)))
+        assert (rig.mask_of(stamp, "lamp") == np.where(np.isfinite(wall()) & (wall() > 0), 255, 0)).all()
+        np.testing.assert_array_equal(rig.mask_of(stamp, "other"), frame.mask())
+        rig.wait_status(PROCESSING, OK)
+        assert rig.set(lights__lamp__ignore=["shade"]) == ""
+        stamp = rig.send_frame(wall())
+        np.testing.assert_array_equal(rig.mask_of(stamp, "lamp"), frame.mask())
+        rig.wait_status(PROCESSING, WARN, "lights.lamp.ignore names 'shade', but the parts are mesh, depth")
 
 
 def test_a_light_that_becomes_the_sun_leaves_the_pose_of_its_topic() -> None:

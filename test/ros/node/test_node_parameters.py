@@ -96,6 +96,13 @@ CHANGES: list[tuple[str, Any, dict[str, Any]]] = [
     ("lights.lamp.range", 2.1, PLAIN),
     ("lights.lamp.range", 2.1, SPHERE),
     ("lights.lamp.radius", 0.3, SPHERE),
+    *[("lights.lamp.type", kind, PLAIN) for kind in ("disc", "rectangle", "tube")],
+    ("lights.lamp.axis", [0.0, 1.0, 0.0], {"lights.lamp.type": "tube"}),
+    ("lights.lamp.length", 0.5, {"lights.lamp.type": "tube"}),
+    ("lights.lamp.size", [0.1, 0.5], {"lights.lamp.type": "rectangle"}),
+    ("lights.lamp.two_sided", True, {"lights.lamp.type": "disc", "lights.lamp.direction": [0.0, 0.0, -1.0]}),
+    ("lights.lamp.angular_diameter", 0.1, {"lights.lamp.type": "directional"}),
+    ("lights.lamp.ignore", ["mesh"], PLAIN),
     ("lights.lamp.sun.latitude", 40.0, SUN),
     ("lights.lamp.sun.longitude", 20.0, SUN),
     ("lights.lamp.sun.time", "2026-06-21T10:00:00Z", SUN),
@@ -537,7 +544,7 @@ def test_device() -> None:
         rig.wait_status(DEVICE, OK, "on cpu")
     with Rig(start=False) as rig:
         rig.start({"device": "cuda:63"}, wait=False)
-        with pytest.raises(StartupError, match="device"):
+        with pytest.raises(StartupError, match=r"device: expected one of .*, or auto"):
             rig.until(lambda: False, 20.0)
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import array
 import math
 import sys
 from collections.abc import Iterator
@@ -12,11 +13,12 @@ import numpy as np
 import pytest
 from harness import Rig, plate, wall
 from node_world import UNKNOWN, cloud_msg, library, library_with_plate
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import PointCloud2, PointField
 from tf_double import Buffer, module, transform
 
 from shadow_tracer import DirectionalLight, PointLight, ShadowTracer, SphereLight, SpotLight, State
 from shadow_tracer.ros.diagnostics import ERROR, PROCESSING, TRANSFORMS, WARN
+from shadow_tracer.ros.wire.clouds import cloud_normals
 from shadow_tracer.ros.wire.messages import rigid
 
 LIGHTS = {
@@ -90,6 +92,47 @@ def test_answers_are_those_of_the_library(rig: Rig, tracer: ShadowTracer) -> Non
     assert rig.value(PROCESSING, "queries of which nothing is known") == "0"
 
 
+def cloud_with_normals(
+    points: np.ndarray, normals: np.ndarray, frame: str = "camera", count: int = 3, stamp: int = 0
+) -> PointCloud2:
+    """A query of float64 points with the first ``count`` coordinates of their normals."""
+    msg = cloud_msg(points, stamp, frame, "f8")
+    rows = np.zeros((len(points), 8))
+    rows[:, :3], rows[:, 4:7] = points, normals
+    msg.point_step, msg.row_step = 64, 64 * len(points)
+    for k, axis in enumerate("xyz"[:count]):
+        msg.fields.append(PointField(name=f"normal_{axis}", offset=32 + 8 * k, datatype=PointField.FLOAT64, count=1))
+    msg.data = array.array("B", rows.tobytes())
+    return msg
+
+
+def test_points_with_normals_start_off_their_surface(rig: Rig, tracer: ShadowTracer) -> None:
+    """Points 0.05 mm behind the plate are in shadow until they are moved to the side that faces the light, whatever the
+    lengths of their normals; one that is none moves nothing."""
+    points = points_of(200)
+    points[:, :2] *= 0.15
+    points[:, 2] = 1.00005
+    normals = np.tile([0.0, 0.0, -1.0], (200, 1))
+    normals[:50] *= 7.0
+    normals[150:170], normals[170:] = 0.0, np.nan
+    for factor in (0.0, 2.0):
+        assert rig.set(bias__constant=3e-5, bias__normal=factor) == ""
+        found, bits, known = answer(rig.ask(cloud_with_normals(points, normals)))
+        moved = points + factor * 3e-5 * np.where(np.isfinite(normals), np.sign(normals), 0.0)
+        lit = tracer.states_at(moved, [lights()[0]], bias=3e-5)[0] == State.LIT
+        np.testing.assert_array_equal((bits & 1).astype(bool), lit)
+        np.testing.assert_array_equal(found, points.astype(np.float32))  # as asked
+        assert known.all() and lit[:150].all() == (factor > 0.0) and not lit[150:].any()
+    assert not (answer(rig.ask(cloud_msg(points, kind="f8")))[1] & 1).any()  # without normals
+
+
+def test_half_a_normal_is_refused(rig: Rig) -> None:
+    points = points_of(4)
+    rig.publisher(PointCloud2, "query").publish(cloud_with_normals(points, points, count=2))
+    rig.wait_status(PROCESSING, WARN, "query refused, fields: expected one each of normal_x, normal_y and normal_z")
+    assert answer(rig.ask(cloud_with_normals(points, points)))[2].all()
+
+
 def test_queries_and_frames_do_not_disturb_each_other(rig: Rig, tracer: ShadowTracer) -> None:
     before = rig.trace(wall())
     points = points_of(300)
@@ -145,6 +188,16 @@ def test_a_query_is_in_the_frame_of_its_header(monkeypatch: pytest.MonkeyPatch, 
         np.testing.assert_array_equal(answer(answers[0])[1], expected(tracer, in_map))
         np.testing.assert_array_equal(answer(answers[1])[1], expected(tracer, points))
         np.testing.assert_array_equal(answer(answers[0])[0], points.astype(np.float32))  # in its own frame
+
+        assert rig.set(bias__normal=2.0) == ""
+        points = points_of(2000)
+        normals = points_of(2000, seed=2)
+        query = cloud_with_normals(points, normals, "robot", stamp=stamp)
+        _, bits, _ = answer(rig.ask(query))
+        in_map = points @ pose[:3, :3].T + pose[:3, 3]
+        moved = in_map + 2.0 * 0.01 * (cloud_normals(query) @ pose[:3, :3].T)  # they turn with the frame
+        np.testing.assert_array_equal(bits, expected(tracer, moved))
+        assert (bits != expected(tracer, in_map)).sum() > 20
 
 
 def test_a_frame_that_is_missing_makes_the_answer_unknown(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import probe
 import pytest
 from harness import Rig, plate, wall
 
@@ -90,8 +91,7 @@ def test_real_disagreement_is_seen() -> None:
 
         def wrong(*args: Any, **kwargs: Any) -> Any:
             frame = trace(*args, **kwargs)
-            states = frame._states
-            states.setflags(write=True)
+            states = probe.states(frame)
             states[0, 20, 20:23] = 1 - states[0, 20, 20:23]
             return frame
 

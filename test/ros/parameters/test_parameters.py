@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadow_tracer import Bias, Bounds, DirectionalLight, PointLight, SpotLight, available_pipelines
+from shadow_tracer import (
+    Bias,
+    Bounds,
+    DirectionalLight,
+    DiscLight,
+    PointLight,
+    RectangleLight,
+    SpotLight,
+    SunDisc,
+    TubeLight,
+    available_pipelines,
+)
 from shadow_tracer.ros.parameters import parameters
 from shadow_tracer.ros.parameters.former_names import renamed
 from shadow_tracer.ros.parameters.parameters import ParameterError, problems_in, settings_from, unknown_names
@@ -107,7 +118,7 @@ BAD = [
     (
         "lights.lamp.type",
         "laser",
-        "lights.lamp.type: expected string (point, spot, directional, sun, sphere), got 'laser'",
+        "lights.lamp.type: expected string (point, spot, directional, sun, sphere, disc, rectangle, tube), got 'laser'",
     ),
     ("lights.lamp.enabled", "yes", "lights.lamp.enabled: expected bool, got 'yes'"),
     ("lights.lamp.enabled", 1, "lights.lamp.enabled: expected bool, got 1"),
@@ -116,7 +127,15 @@ BAD = [
     ("lights.lamp.direction", [0, 0, 0], "lights.lamp.direction: expected a length from 1e-6 to 1e6"),
     ("lights.lamp.outer_angle", 4.0, "lights.lamp.outer_angle: expected double (0.001 to pi rad), got 4.0"),
     ("lights.lamp.range", -1.0, "lights.lamp.range: expected double (0 to 1000000000 m), got -1.0"),
-    ("lights.lamp.radius", 0.0, "lights.lamp.radius: expected double (1e-06 to 1000000 m), got 0.0"),
+    ("lights.lamp.radius", -0.1, "lights.lamp.radius: expected double (0 to 1000000 m), got -0.1"),
+    ("lights.lamp.axis", [0, 0, 0], "lights.lamp.axis: expected a length from 1e-6 to 1e6"),
+    ("lights.lamp.axis", [1, 0], "lights.lamp.axis: expected double array (3 numbers)"),
+    ("lights.lamp.length", 0.0, "lights.lamp.length: expected double (1e-06 to 1000000 m), got 0.0"),
+    ("lights.lamp.size", [0.5, 0.0], "lights.lamp.size: expected two sides from 1e-06 to 1e+06 m, got [0.5, 0.0]"),
+    ("lights.lamp.size", [0.5], "lights.lamp.size: expected double array (2 numbers [m])"),
+    ("lights.lamp.two_sided", 1, "lights.lamp.two_sided: expected bool, got 1"),
+    ("lights.lamp.angular_diameter", 1.6, "lights.lamp.angular_diameter: expected double (0 to"),
+    ("lights.lamp.ignore", "shade", "lights.lamp.ignore: expected string array, got 'shade'"),
     ("lights.lamp.sun.latitude", 90.5, "lights.lamp.sun.latitude: expected double (-90 to 90 deg), got 90.5"),
     ("lights.lamp.sun.longitude", -181.0, "lights.lamp.sun.longitude: expected double (-180 to 180 deg), got -181.0"),
     ("lights.lamp.sun.time", "noon", "lights.lamp.sun.time: expected a time in ISO 8601 such as 2026-06-21T12:00:00Z"),
@@ -153,6 +172,54 @@ def test_integers_are_accepted_for_doubles() -> None:
     assert settings.bias_constant == 1.0 and isinstance(settings.bias_constant, float)
     assert settings.camera_pose[:3] == (1.0, 2.0, 3.0)
     assert settings.lights[0].position == (0.0, 1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "group", "message"),
+    [
+        ("sphere", {"radius": 0.0}, "lights.lamp.radius: expected at least 1e-06 m for type sphere, got 0"),
+        ("disc", {"radius": 1e-7}, "lights.lamp.radius: expected at least 1e-06 m for type disc, got 1e-07"),
+        ("rectangle", {"axis": [0, 0, -3]}, "lights.lamp.axis: expected another line than direction [0.0, 0.0, 1.0]"),
+    ],
+)
+def test_what_does_not_fit_the_type_is_refused(kind: str, group: dict[str, Any], message: str) -> None:
+    values = {f"lights.lamp.{key}": value for key, value in group.items()}
+    assert settings_from(values)  # of a point light nobody asks
+    with pytest.raises(ParameterError) as caught:
+        settings_from({**values, "lights.lamp.type": kind})
+    assert str(caught.value).startswith(message)
+
+
+def test_lights_with_a_size_are_what_their_parameters_say() -> None:
+    values = {
+        "light_names": ["disc", "panel", "tube", "line", "sky", "sun"],
+        "lights.disc.type": "disc",
+        "lights.disc.radius": 0.25,
+        "lights.panel.type": "rectangle",
+        "lights.panel.size": [2, 1],
+        "lights.panel.axis": [3, 0, 7],  # what lies along direction does not count
+        "lights.panel.two_sided": True,
+        "lights.panel.ignore": ["markers/panel", ""],
+        "lights.tube.type": "tube",
+        "lights.tube.position": [1, 2, 3],
+        "lights.tube.axis": [0, 0, 5],
+        "lights.tube.length": 2.0,
+        "lights.tube.range": 4.0,
+        "lights.line.type": "tube",
+        "lights.line.radius": 0.0,
+        "lights.sky.type": "directional",
+        "lights.sky.angular_diameter": 0.0093,
+        "lights.sun.type": "directional",
+    }
+    disc, panel, tube, line, sky, sun = (light.light(np.eye(4)) for light in settings_from(values).lights)
+    assert isinstance(disc, DiscLight) and (disc.radius, disc.two_sided, disc.range) == (0.25, False, math.inf)
+    assert isinstance(panel, RectangleLight) and panel.two_sided and panel.ignore == ("markers/panel",)
+    np.testing.assert_allclose([panel.u, panel.v, panel.normal], [(1, 0, 0), (0, 0.5, 0), (0, 0, 1)], atol=1e-12)
+    assert isinstance(tube, TubeLight) and (tube.radius, tube.range) == (0.1, 4.0)
+    np.testing.assert_array_equal([tube.start, tube.end], [(1, 2, 2), (1, 2, 4)])
+    assert isinstance(line, TubeLight) and line.radius == 0.0 and line.ignore == ()
+    assert isinstance(sky, SunDisc) and sky.angular_diameter == 0.0093
+    assert isinstance(sun, DirectionalLight)
 
 
 @pytest.mark.parametrize("empty", [[], [""], ()])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import struct
 import subprocess
 import sys
@@ -19,7 +20,7 @@ import pytest
 from cloud_double import FLOAT32, FLOAT64, Cloud, changed, cloud, field, some_points
 
 from shadow_tracer import Scene
-from shadow_tracer.ros.wire.clouds import cloud_points, soup_part, visibility_cloud
+from shadow_tracer.ros.wire.clouds import cloud_normals, cloud_points, soup_part, visibility_cloud
 from shadow_tracer.ros.wire.parts import Changes, Part, PartError, soup_triangles
 from shadow_tracer.ros.world.mesh_store import MeshStore
 
@@ -144,6 +145,55 @@ def test_truncated_at_every_byte() -> None:
             cloud_points(changed(message, data=message.data[:length]))
 
 
+# Normals.
+
+
+def with_normals(points: np.ndarray, normals: np.ndarray, kind: int = FLOAT32, big: bool = False) -> Cloud:
+    """A cloud of six columns, as the Point Cloud Library writes points with normals."""
+    size = 4 if kind == FLOAT32 else 8
+    message = cloud(points, kind, big, point_step=7 * size)
+    rows = np.frombuffer(message.data, np.uint8).copy()
+    grid = np.ndarray((len(points), 3), (">" if big else "<") + f"f{size}", rows.data, 4 * size, (7 * size, size))
+    grid[...] = normals
+    message.fields += [field(f"normal_{axis}", (4 + k) * size, kind) for k, axis in enumerate("xyz")]
+    message.data = array("B", rows.tobytes())
+    return message
+
+
+@ENDIAN
+@pytest.mark.parametrize("kind", [FLOAT32, FLOAT64])
+def test_normals_are_of_length_one_or_none(big: bool, kind: int) -> None:
+    normals = np.array([[0, 0, -2], [3, 4, 0], [0, 0, 0], [math.nan, 0, 1], [math.inf, 0, 1], [0, -1e-30, 0]])
+    huge = np.array([[1e300, 1e300, 0.0]]) if kind == FLOAT64 else np.array([[3e38, 3e38, 0.0]])
+    message = with_normals(some_points(7), np.concatenate([normals, huge]), kind, big)
+    found = cloud_normals(message)
+    assert found is not None
+    half = 1.0 / math.sqrt(2.0)
+    expected = [[0, 0, -1], [0.6, 0.8, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0], [0, -1, 0], [half, half, 0]]
+    np.testing.assert_allclose(found, expected, rtol=1e-15, atol=0.0)
+    np.testing.assert_array_equal(cloud_points(message), some_points(7))  # as without them
+
+
+def test_normals_come_whole_or_not_at_all() -> None:
+    points = some_points(4)
+    assert cloud_normals(cloud(points)) is None
+    message = with_normals(points, np.ones((4, 3)))
+    half = changed(message, fields=message.fields[:5])
+    with pytest.raises(PartError, match="fields: expected one each of normal_x, normal_y and normal_z, got"):
+        cloud_normals(half)
+    twice = changed(message, fields=[*message.fields, message.fields[-1]])
+    with pytest.raises(PartError, match="fields: expected one each of normal_x, normal_y and normal_z, got"):
+        cloud_normals(twice)
+    wrong = changed(message, fields=[*message.fields[:5], field("normal_z", 24, 5)])
+    with pytest.raises(PartError, match=r"fields: expected normal_z of datatype 7 \(FLOAT32\) or 8"):
+        cloud_normals(wrong)
+    outside = changed(message, fields=[*message.fields[:5], field("normal_z", 25)])
+    with pytest.raises(PartError, match="fields: normal_z ends at byte 29 of a point, but point_step is 28"):
+        cloud_normals(outside)
+    nothing = changed(message, width=0, data=array("B"))
+    assert cloud_normals(nothing).shape == (0, 3)  # type: ignore[union-attr]
+
+
 # A soup of triangles.
 
 
@@ -158,7 +208,7 @@ def test_three_points_are_a_triangle() -> None:
     part = the_part(soup_part(cloud(points), {}, 4))
     np.testing.assert_array_equal(part.vertices, points)
     assert part.triangles is soup_triangles(4)
-    assert (part.key, part.samples, part.stamp, part.locked) == ("cloud", "lidar", 12_000_000_034, False)
+    assert (part.key, part.frame, part.stamp, part.locked) == ("cloud", "lidar", 12_000_000_034, False)
     assert part.field == "header.frame_id of mesh_cloud" and part.expires is None
     for values in (part.vertices, part.triangles):
         assert values.flags.owndata and not values.flags.writeable
@@ -373,7 +423,7 @@ def test_messages_of_ros_go_in_and_come_out(big: bool) -> None:
     message = deserialize_message(serialize_message(message), PointCloud2)
     np.testing.assert_array_equal(cloud_points(message), points)
     part = the_part(soup_part(message, {}, 2))
-    assert (part.samples, part.stamp) == ("map", 5_000_000_006)
+    assert (part.frame, part.stamp) == ("map", 5_000_000_006)
     sent = visibility_cloud(message, points, np.arange(6, dtype=np.uint32), np.ones(6, bool))
     answer = deserialize_message(serialize_message(sent), PointCloud2)
     assert answer == sent and answer.header == message.header and answer.is_dense is True

@@ -58,7 +58,7 @@ def test_a_marker_becomes_a_part() -> None:
     np.testing.assert_array_equal(part.vertices, POINTS)
     np.testing.assert_array_equal(part.triangles, [(0, 1, 2), (3, 4, 5)])
     np.testing.assert_array_equal(part.pose, np.eye(4))
-    assert (part.key, part.samples, part.stamp, part.locked, part.expires) == (
+    assert (part.key, part.frame, part.stamp, part.locked, part.expires) == (
         "markers/arm/3",
         "base",
         5_000_000_007,

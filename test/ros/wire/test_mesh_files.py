@@ -390,7 +390,7 @@ def test_parts_are_numbered_as_they_are_listed(tmp_path: Path) -> None:
     parts = file_parts(["", str(tmp_path / "a.obj"), " ", str(tmp_path / "b.obj")], 2.0)
     assert [part.key for part in parts] == ["files/1", "files/3"]
     for part in parts:
-        assert part.vertices.max() == 2.0 and part.samples == "" and part.locked and part.expires is None
+        assert part.vertices.max() == 2.0 and part.frame == "" and part.locked and part.expires is None
         assert part.field == "mesh.frame" and np.array_equal(part.pose, np.eye(4))
     store = MeshStore(2)
     store.commit(Changes(parts), 1)

@@ -252,6 +252,26 @@ def test_points_are_small_spheres_and_spheres_have_their_size() -> None:
     assert set(found) == {("p", 0), ("p", 2), ("s", 0), ("s", 2)}
 
 
+def test_flat_lights_and_tubes_have_their_outline() -> None:
+    """All lines lie on the light, but one to where its middle shines, or two."""
+    shapes: dict[str, dict[str, Any]] = {
+        "disc": {"type": "disc", "radius": 0.4, "two_sided": True},
+        "panel": {"type": "rectangle", "size": (1.0, 0.5)},
+        "tube": {"type": "tube", "length": 2.0, "radius": 0.1, "axis": (0.0, 1.0, 0.0)},
+        "line": {"type": "tube", "length": 2.0, "radius": 0.0, "axis": (0.0, 1.0, 0.0)},
+    }
+    found, _ = lit(**{name: {**group, "position": (1.0, 2.0, 3.0)} for name, group in shapes.items()})
+    lines = {name: found[name, 1].points - (1.0, 2.0, 3.0) for name in shapes}
+    assert all(found[name, 1].type == LINE_LIST and found[name, 0].type == SPHERE for name in shapes)
+    np.testing.assert_allclose(np.linalg.norm(lines["disc"][:-4], axis=1), 0.4)
+    np.testing.assert_allclose(lines["disc"][-4:, 2], (0.0, 0.2, 0.0, -0.2))
+    np.testing.assert_allclose(abs(lines["panel"][:-2]), np.tile((0.5, 0.25, 0.0), (8, 1)))
+    np.testing.assert_allclose(lines["panel"][-2:], [(0, 0, 0), (0, 0, 0.2)], atol=1e-12)
+    np.testing.assert_allclose(abs(lines["line"]), np.tile((0.0, 1.0, 0.0), (2, 1)), atol=1e-12)
+    np.testing.assert_allclose(abs(lines["tube"][:, 1]), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(lines["tube"][2:, ::2], axis=1), 0.1)
+
+
 def test_parallel_light_is_an_arrow_to_the_origin_of_its_frame() -> None:
     found, _ = lit(sky={"type": "directional", "direction": (0.0, 3.0, -4.0)})
     arrow = found["sky", 0]

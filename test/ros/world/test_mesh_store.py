@@ -312,6 +312,6 @@ def test_whatever_comes_the_scene_is_what_the_store_says(scene: Scene) -> None:
             mesh = scene[part.key]
             assert mesh.vertices is part.vertices and np.array_equal(mesh.triangles, part.triangles)
             if part.locked:
-                frame = places.frames[part.samples] if part.samples else np.eye(4)
+                frame = places.frames[part.frame] if part.frame else np.eye(4)
                 np.testing.assert_array_equal(mesh.pose, frame @ part.pose)
     assert refused > 5 and store.updates["deform"] + store.updates["put"] > 100

@@ -42,7 +42,8 @@ def test_only_changes_are_uploaded(any_device, monkeypatch):
     ball = geometry.icosphere(2, 0.4)
     made = DepthCamera(any_device, Bounds(max_triangles=20_000, max_rays=10_000, grid_entries=50_000))
     # Not the columns and rows of the image.
-    scene_arrays = [array.ptr for array in (made._rays.scene.local, made._rays.scene.triangles)]
+    scene_on_device = probe.depth_camera_scene(made)
+    scene_arrays = [array.ptr for array in (scene_on_device.local, scene_on_device.triangles)]
     monkeypatch.setattr(Uploads, "__call__", count)
     monkeypatch.setattr(
         SceneBuffers,
@@ -119,25 +120,23 @@ def test_errors(depth_camera, any_device):
 
 
 def test_render_depth_grows(monkeypatch, any_device, depth_camera):
-    from shadow_tracer import depth_camera as module
-
-    monkeypatch.setattr(module, "_cameras", {})
+    probe.forget_depth_cameras(monkeypatch)
     mesh, camera = VIEWS["street"]
     scene = scene_of(mesh)
     expected = depth_camera.render(scene, camera)
     depth, triangle = render_depth(scene, camera, any_device)
     assert depth.tobytes() == expected[0].tobytes() and np.array_equal(triangle, expected[1])
-    first = module._cameras[any_device]
+    first = probe.kept_depth_camera(any_device)
     render_depth(scene_of(VIEWS["around"][0]), VIEWS["around"][1], any_device)
-    assert module._cameras[any_device] is first
+    assert probe.kept_depth_camera(any_device) is first
     crowd = geometry.soup(generator(), 20_000, 0.1, 5.0)
     render_depth(scene_of(crowd), camera, any_device)
-    second = module._cameras[any_device]
+    second = probe.kept_depth_camera(any_device)
     assert second.bounds.max_triangles == 32768 and second.bounds.max_rays == 65536
     large = Camera(300, 230, 200.0, 200.0, 200.0, 100.0, camera.camera_to_world)
     depth, _ = render_depth(scene, large, any_device)
-    assert module._cameras[any_device].bounds.max_triangles == 32768
-    assert module._cameras[any_device].bounds.max_rays == 131072
+    assert probe.kept_depth_camera(any_device).bounds.max_triangles == 32768
+    assert probe.kept_depth_camera(any_device).bounds.max_rays == 131072
     assert depth.tobytes() == depth_camera.render(scene, large)[0].tobytes()
     again = render_depth(scene, camera)  # on the best device, another one perhaps
     assert again[0].tobytes() == expected[0].tobytes()

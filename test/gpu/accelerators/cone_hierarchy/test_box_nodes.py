@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import probe
+import probe_accelerators
 import pytest
 import warp as wp
 from node_fuzz import LIGHTS, bundles, decide_all
@@ -83,7 +84,7 @@ def _outcome(device: str, name: str, seed: int) -> Outcome:
     bounds = Bounds(len(triangles), len(points), 1, 64, 1)
     tracer = ShadowTracer("cone_hierarchy", "linear", device=device, bounds=bounds)
     tracer.scene.put("mesh", corners.reshape(-1, 3), triangles)
-    built = probe.ray_tree(tracer, points, light, 0.02)
+    built = probe_accelerators.ray_tree(tracer, points, light, 0.02)
     tree, frame, scene = built.tree, built.frame, built.scene
     offset = tree.offset.numpy()
     nodes = int(offset[tree.levels])

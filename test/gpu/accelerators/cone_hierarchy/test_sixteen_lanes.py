@@ -6,7 +6,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-import probe
+import probe_accelerators
 import pytest
 import warp as wp
 from node_fuzz import LIGHTS, bundles
@@ -67,14 +67,14 @@ def judge_all(space: LightSpace, tree: RayTree, occluders: Occluders, out: wp.ar
 
 
 @cache
-def _built(name: str) -> probe.RayTree:
+def _built(name: str) -> probe_accelerators.RayTree:
     light = LIGHTS[name]
     rays, corners = bundles(np.random.default_rng(7), light)
     points, triangles = rays.reshape(-1, 3)[:-5], np.arange(corners.size // 3).reshape(-1, 3)  # the last leaf: not full
     bounds = Bounds(len(triangles), len(points), 1, 64, 1)
     tracer = ShadowTracer("cone_hierarchy", "linear", device="cpu", bounds=bounds)
     tracer.scene.put("mesh", corners.reshape(-1, 3), triangles)
-    return probe.ray_tree(tracer, points, light, 0.02)
+    return probe_accelerators.ray_tree(tracer, points, light, 0.02)
 
 
 @pytest.mark.parametrize("name", LIGHTS)

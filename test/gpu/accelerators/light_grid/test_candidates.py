@@ -5,11 +5,11 @@ demand is what would have been made at once."""
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import geometry
 import numpy as np
 import probe
+import probe_accelerators
 import pytest
 
 from shadow_tracer import Bounds, DirectionalLight, PointLight, ShadowTracer
@@ -86,9 +86,8 @@ def test_specks_on_ways_from_all_around(seed: int) -> None:
 
 def _counts(tracer: ShadowTracer) -> tuple[int, int]:
     """Clusters that the share looked at, and blocks of records that were made."""
-    engine: Any = tracer._engine.inside
-    way = engine._pipeline._way
-    return int(way._ends.numpy()[0]), int((way._candidates._made.numpy() == 2).sum())
+    grid = probe.pipeline(tracer)
+    return len(probe_accelerators.clusters(grid)), int(probe_accelerators.blocks_made(grid).sum())
 
 
 def _far_and_near(seed: int = 482) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -126,7 +125,7 @@ def test_only_what_may_concern_the_rays_is_made() -> None:
     assert 512 // 16 <= clusters < 80, "of 16 triangles each, of 480"
     assert 512 // 128 <= blocks < 30
     # The same light and scene, other samples: more is made, nothing again.
-    records = tracer._engine.inside._context.records.memory  # type: ignore[attr-defined]
+    records = probe.context(tracer).records.memory
     records.numpy()[0, 0] = 7.0
     check(wide, light)
     assert _counts(tracer)[1] > blocks and (records.numpy()[0, 0] == 7.0).all()

@@ -12,6 +12,7 @@ import bundles
 import numpy as np
 import packed_grid
 import probe
+import probe_accelerators
 import pytest
 import warp as wp
 from node_fuzz import LIGHTS, SPREADS, TRIANGLES, decide_all
@@ -183,24 +184,17 @@ def _in_bundles(rng: np.random.Generator, name: str) -> list[tuple[np.ndarray, n
 
 def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
     """The answers for all boxes, by level: (B, T); and how many of the rays in each a triangle hides, and the rays."""
-    engine: Any = tracer._engine.inside
-    pipeline = engine._pipeline
-    taken: list[Any] = []
-    pipeline._way.trace = lambda *inputs: taken.append(inputs)
     light, bias, points, corners = scene
     count = len(corners)
     tracer.scene.put("mesh", corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
-    tracer.occluded(points, light, bias)
-    work, way, wide = taken[0][0], pipeline._way, probe.wide(tracer.device)
-    context = pipeline._context
-    occluders, answers = getattr(way, "occluders", context.occluders)(work), context.answers(work)
-    tiles, space = pipeline._buffers.tiles, make_light_space(make_light_frame(light, engine._anchor))
-    packed = packed_grid.read(tiles)
+    given, wide = probe_accelerators.binning(tracer, points, light, bias), probe.wide(tracer.device)
+    space, packed = make_light_space(make_light_frame(light, probe.anchor(tracer))), packed_grid.read(given.tiles)
     if not hidden.size:
         hidden.resize((len(points), count), refcheck=False)
         out = wp.empty(hidden.shape, dtype=wp.uint8, device=tracer.device)
-        inputs = [wp.vec4d(*light.homogeneous), engine._whole.positions]
-        inputs += [engine._scene.vertices, engine._scene.triangles, out]
+        context = probe.context(tracer)
+        inputs = [wp.vec4d(*light.homogeneous), context.samples.positions]
+        inputs += [context.scene.vertices, context.scene.triangles, out]
         wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=tracer.device)
         hidden[:] = out.numpy()
     tile, lane = np.nonzero(packed.live)
@@ -214,8 +208,8 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
         )
         out = wp.empty((len(rows), count), dtype=int, device=tracer.device)
         inputs = [wp.array(rows, dtype=wp.vec4i, device=tracer.device)]
-        inputs += [way._clusters, way._ends, way._candidates.corners(work)] if wide else []
-        inputs += [space, tiles, occluders, *([] if wide else [way._bins, answers]), out]
+        seen = [space, given.tiles, given.occluders]
+        inputs += [*given.alone, *seen, out] if wide else [*seen, *given.alone, out]
         wp.launch(judge_all_wide if wide else judge_all, dim=out.shape, inputs=inputs, device=tracer.device)
         index = np.searchsorted(boxes.number, places[position[tile]])
         shadows, rays = np.zeros(out.shape, int), np.bincount(index, minlength=len(rows))

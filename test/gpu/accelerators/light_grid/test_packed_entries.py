@@ -10,6 +10,7 @@ from typing import Any
 import geometry
 import numpy as np
 import probe
+import probe_accelerators
 import pytest
 import views
 
@@ -83,7 +84,7 @@ def test_large_triangles(any_device: str) -> None:
     tracer = _tracer(any_device, max_rays=41_600)
     for _ in range(2):
         np.testing.assert_array_equal(_states(tracer, view)[0], expected)
-    tiles: Any = tracer._engine.inside._pipeline._buffers.tiles
+    tiles = probe_accelerators.tiles(probe.pipeline(tracer))
     assert tiles.groups.numpy()[6 + 4, 4] > 16
 
 
@@ -93,7 +94,7 @@ def test_large_triangles_become_items(monkeypatch: Any, any_device: str, places:
     view, expected = _huge()
     monkeypatch.setattr(threads, "_MOST_ITEMS", places)
     tracer = _tracer(any_device, max_rays=41_600)
-    bins: Any = tracer._engine.inside._pipeline._way._bins
+    bins = probe_accelerators.bins(probe.pipeline(tracer))
     assert bins.items.shape[0] == min(places, 64 * 4_000)
     for _ in range(2):
         states, counters = _states(tracer, view)
@@ -183,8 +184,7 @@ def test_parts(any_device: str, together: int, graphs: bool) -> None:
             np.testing.assert_array_equal(states, expected)
             assert counters["entries"] == total
             assert counters["overflow_passes"] == sum(count for count in parts if count > 1)
-        engine: Any = tracer._engine.inside
-        assert engine._graphs.recorded() == (1 if graphs else 0)
+        assert probe.recordings(tracer) == (1 if graphs else 0)
 
 
 @probe.in_both_forms
@@ -279,7 +279,6 @@ def test_lights_that_stay_keep_their_triangles(monkeypatch: Any, any_device: str
 
     monkeypatch.setattr(records.TriangleRecords, "begin", counted)
     tracer = _tracer(any_device, max_triangles=80 * room)
-    engine: Any = tracer._engine.inside
     anchors = []
     for step in range(2):
         pose = geometry.pose_of(np.eye(3), (0.05 * step, -0.03 * step, 0.02 * step))
@@ -288,7 +287,7 @@ def test_lights_that_stay_keep_their_triangles(monkeypatch: Any, any_device: str
         calls.clear()
         states, _ = _states(tracer, now)
         assert len(calls) == made[step]
-        anchors.append(engine._anchor)
+        anchors.append(probe.anchor(tracer))
         np.testing.assert_array_equal(states, _states(_tracer(any_device), now)[0])
         np.testing.assert_array_equal(states, views.expected_states(now))
     assert anchors[0] == anchors[1]

@@ -10,6 +10,8 @@ import bundles
 import crowds
 import geometry
 import numpy as np
+import probe
+import probe_accelerators
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SpotLight, State
@@ -40,13 +42,13 @@ def _tracer(device: str, graphs: bool | None = False, bounds: dict[str, int] | N
         "grid_entries": 300_000,
     }
     tracer = ShadowTracer("light_grid", "spherical", device, Bounds(**{**limits, **(bounds or {})}), graphs=graphs)
-    engine: Any = tracer._engine.inside
-    engine._bands[0].pipeline = spherical.SphericalGrid("spherical", engine._context, **settings)
+    (only,) = probe.bands(tracer)
+    only.pipeline = spherical.SphericalGrid("spherical", only.context, **settings)
     return tracer
 
 
 def _grid_of(tracer: Any) -> spherical.SphericalGrid:
-    grid: spherical.SphericalGrid = tracer._engine.inside._pipeline
+    grid: spherical.SphericalGrid = probe.pipeline(tracer)
     return grid
 
 
@@ -80,18 +82,18 @@ def cells_of_rays(
 
 def _exactly_hidden(tracer: Any, count: int) -> np.ndarray:
     """(samples, triangles) bool: every exact decision there is."""
-    engine = tracer._engine.inside
-    frame, scene = engine._whole, engine._scene
-    hidden = wp.zeros((count, scene.triangle_count), dtype=wp.uint8, device=engine.device)
+    context = probe.context(tracer)
+    frame, scene = context.samples, context.scene
+    hidden = wp.zeros((count, scene.triangle_count), dtype=wp.uint8, device=tracer.device)
     inputs = [frame.light_frame_of[0], frame.positions, scene.vertices, scene.triangles, hidden]
-    wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=engine.device)
+    wp.launch(decide_all, dim=hidden.shape, inputs=inputs, device=tracer.device)
     return hidden.numpy().astype(bool)
 
 
 def _covered(tracer: Any, triangles: int, rays: int) -> tuple[np.ndarray, np.ndarray]:
     """(R,) rays in the grid, and (R, triangles) bool: which triangles are in their tile, in a cell up to their own."""
     grid = _grid_of(tracer)
-    device = tracer._engine.device
+    device = tracer.device
     info = grid.rays.tiles.grid.numpy()[0]
     present = int(grid.rays.items.numpy()[grid.rays.counts.numpy()[0]]) if grid.rays.counts.numpy()[0] else 0
     order, tiles = grid.rays.order.numpy()[:present], grid.rays.keys.numpy()[:present]
@@ -114,7 +116,7 @@ def _covered(tracer: Any, triangles: int, rays: int) -> tuple[np.ndarray, np.nda
 
 def _axes(tracer: Any, light: Any) -> np.ndarray:
     """(3, 3): the azimuth starts at the third row and turns to the first; the second points to a pole."""
-    frame = light_frame.make_light_frame(light, tracer._engine.inside._anchor)
+    frame = light_frame.make_light_frame(light, probe.anchor(tracer))
     return np.stack([np.array(frame.r), np.array(frame.s), -np.array(frame.f)])
 
 
@@ -128,7 +130,7 @@ def _check_coverage(tracer: Any, light: Any, points: np.ndarray, mesh: geometry.
     assert not len(lacking), (
         f"{len(lacking)} pairs lack an entry, first: {points[rays[lacking[0, 0]]]}, {lacking[0, 1]}"
     )
-    group = _grid_of(tracer)._admission.groups.numpy()[: len(points)]
+    group = probe_accelerators.admission_groups(_grid_of(tracer)).numpy()[: len(points)]
     assert (np.sort(rays) == np.flatnonzero(group == int(admission.IN_TREE))).all()
     np.testing.assert_array_equal(answers[rays], hidden[rays].any(axis=1))
     return int(hidden[rays].sum())
@@ -302,7 +304,7 @@ def test_work_items(any_device: str, name: str, threshold: int) -> None:
     assert all(len(np.unique(keys[a:b])) == 1 for a, b in zip(bounds, bounds[1:], strict=False))
     in_tile = np.bincount(keys[:2000])
     assert items == (-(-in_tile // threshold)).sum() and tiles == (in_tile > 0).sum()
-    assert tracer._engine.inside._whole.read_counters()["splits"] == items - tiles
+    assert probe.counters(tracer)["splits"] == items - tiles
     assert 0.05 < hidden.mean() < 0.95
 
 
@@ -320,7 +322,7 @@ def test_depth_cells_save_tests(any_device: str) -> None:
         tracer = _tracer(any_device, cells=cells, rays_per_tile=64)
         tracer.scene.put("room", vertices, triangles)
         answers.append(tracer.occluded(points, light))
-        counters = tracer._engine.inside._whole.read_counters()
+        counters = probe.counters(tracer)
         tests.append(counters["leaf_tests"] / counters["rays"])
     assert all(np.array_equal(answer, answers[0]) for answer in answers) and 0.1 < answers[0].mean() < 0.9
     assert tests[0] > 1.05 * tests[1] and tests[1] > 1.05 * tests[2], tests
@@ -343,7 +345,7 @@ def test_the_grid_is_clamped_to_a_spot(any_device: str) -> None:
         tracer.occluded(points, SpotLight("spot", (0.0, 0.0, 0.0), forward, angle))
         grid = _grid_of(tracer).rays.tiles.grid.numpy()[0]
         sizes.append(1.0 / (grid["columns_per_radian"] * grid["rows_per_radian"]))
-        entries.append(tracer._engine.inside._whole.read_counters()["entries"])
+        entries.append(probe.counters(tracer)["entries"])
         assert 300 < grid["columns"] * grid["rows"] <= 500
     assert all(b < 0.6 * a for a, b in zip(sizes, sizes[1:], strict=False)), sizes
     assert all(b < 0.6 * a for a, b in zip(entries, entries[1:], strict=False)), entries
@@ -386,7 +388,7 @@ def test_recorded_frames_are_equal(any_device: str, entries: int) -> None:
     recording = _tracer(any_device, graphs=True, bounds=bounds, fixed=True)
     for states in (fixed, _frames(recording)):
         assert all(np.array_equal(a, b) for a, b in zip(expected, states, strict=True))
-    assert recording._engine.inside._graphs.recorded() >= 1
+    assert probe.recordings(recording) >= 1
     assert any((state == State.SHADOWED).any() for state in expected)
 
 
@@ -397,14 +399,14 @@ def test_fixed_size_and_few_entries(any_device: str) -> None:
     roomy = _tracer(any_device, fixed=True)
     roomy.scene.put("mesh", *mesh)
     expected = roomy.occluded(points, _LAMP)
-    counters = roomy._engine.inside._whole.read_counters()
+    counters = probe.counters(roomy)
     total = counters["entries"]
     assert 0.1 < expected.mean() < 0.9 and total > 60
     for entries in (1, total // 2, total - 1, total, total + 1):
         tracer = _tracer(any_device, fixed=True, bounds={"grid_entries": entries})
         tracer.scene.put("mesh", *mesh)
         np.testing.assert_array_equal(tracer.occluded(points, _LAMP), expected)
-        again = tracer._engine.inside._whole.read_counters()
+        again = probe.counters(tracer)
         assert (again["entries"], again["largest_tile"]) == (total, counters["largest_tile"])
         if entries >= total:
             assert again["leaf_tests"] == counters["leaf_tests"] and again["passes"] == 1

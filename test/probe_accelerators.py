@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests ask about the inside of one accelerator, and do to it, by name. Where a ``grid`` is asked for it is what
+``probe.pipeline`` returns, or the pipeline of one of ``probe.bands``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import probe
+
+from shadow_tracer import ShadowTracer
+
+if TYPE_CHECKING:  # what lies in gpu is imported when conftest.py has chosen the form
+    from shadow_tracer.gpu.accelerators.interface import Rays
+    from shadow_tracer.gpu.accelerators.light_grid.binning import Bins
+    from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
+
+# --- cone_hierarchy/linear ---
+
+
+@dataclass(frozen=True)
+class RayTree:
+    """The ray tree of ``cone_hierarchy/linear``, what it was made of, and what a descent takes beside it."""
+
+    tree: Any
+    order: Any
+    frame: Any
+    scene: Any
+    group: Any
+    count: int
+    space: Any
+    occluders: Any
+    answers: Any
+
+
+def ray_tree(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> RayTree:
+    """The tree as it is before any triangle has gone through it: descents close nodes that are done."""
+    from shadow_tracer.gpu.exact.faces import Occluders
+    from shadow_tracer.gpu.exact.light_frame import make_light_frame
+    from shadow_tracer.gpu.exact.light_space import make_light_space
+
+    band, taken = probe.bands(tracer)[0], list[Any]()
+    pipeline: Any = band.pipeline
+    pipeline._descend = taken.append
+    tracer.occluded(points, light, bias)
+    del pipeline._descend
+    context, who = probe.context(tracer), pipeline._admission
+    frame, scene = context.samples, context.scene
+    occluders = Occluders()
+    occluders.count, occluders.triangles = scene.triangle_count, scene.triangles
+    occluders.records, occluders.corners = context.records.memory, pipeline._corners.of(0)
+    space = make_light_space(make_light_frame(light, probe.anchor(tracer)))
+    tree, answers = pipeline._buffers.tree, band.context.answers(taken[0])
+    found = int(who.counts.numpy()[0])
+    return RayTree(tree, pipeline._order, frame, scene, who.groups, found, space, occluders, answers)
+
+
+def build_again(tracer: ShadowTracer, count: int) -> None:
+    """Build the ray tree of the first band again, of so many rays that are in order."""
+    probe.pipeline(tracer)._buffers.build(count)
+
+
+def levels(tracer: ShadowTracer) -> int:
+    """Of the ray tree of the first band."""
+    found: int = probe.pipeline(tracer)._buffers.tree.levels
+    return found
+
+
+# --- both light grids ---
+
+
+def admission_groups(grid: Any) -> Any:
+    """(lights * samples,) array on the device: what has been said of each ray of the pass, see ``admission.py``."""
+    return grid._admission.groups
+
+
+# --- light_grid/packed ---
+
+
+def tiles(grid: Any) -> Tiles:
+    """Of the last pass."""
+    found: Tiles = grid._buffers.tiles
+    return found
+
+
+def pack(grid: Any, rays: Rays) -> Tiles:
+    """Put the rays of a pass that have been admitted into tiles, which are returned."""
+    grid._begin(rays)
+    grid._way.pack(rays)
+    return tiles(grid)
+
+
+def bins(grid: Any) -> Bins:
+    """Lists of entries, in the form of CUDA."""
+    found: Bins = grid._way._bins
+    return found
+
+
+def clusters(grid: Any) -> np.ndarray:
+    """(N,) the clusters of triangles that a band has looked at for the first light, in the form of the CPU."""
+    way = grid._way
+    found: np.ndarray = way._clusters.numpy()[: way._ends.numpy()[0]]
+    return found
+
+
+def blocks_made(grid: Any) -> np.ndarray:
+    """(N,) bool: whether the records of each block of 128 triangles have been made, in the form of the CPU."""
+    found: np.ndarray = grid._way._candidates._made.numpy() == 2
+    return found
+
+
+@dataclass(frozen=True)
+class Binning:
+    """What triangles are held against the boxes of tiles with, see ``light_grid/binning.h``: all that there is in both
+    forms, and what there is in one alone, clusters, where each light's end, and corners, or bins and answers."""
+
+    tiles: Tiles
+    occluders: Any
+    alone: tuple[Any, ...]
+
+
+def binning(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> Binning:
+    """As it is before any triangle has gone through the tiles, which close those that are done."""
+    band, taken = probe.bands(tracer)[0], list[Any]()
+    grid: Any = band.pipeline
+    way, context = grid._way, band.context
+    way.trace = taken.append
+    tracer.occluded(points, light, bias)
+    del way.trace
+    (rays,) = taken
+    if probe.wide(tracer.device):
+        alone = way._clusters, way._ends, way._candidates.corners(rays)
+        return Binning(tiles(grid), context.occluders(rays), alone)
+    return Binning(tiles(grid), way.occluders(rays), (way._bins, context.answers(rays)))
