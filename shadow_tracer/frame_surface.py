@@ -74,10 +74,15 @@ class FrameSurface:
             return self._camera.unproject(self.metres)
 
     @cached_property
+    def fitted(self) -> FloatArray:
+        """(H, W, 3) normals of planes through neighbouring pixels, as :attr:`normals`."""
+        return depth_normals(self._image, self._camera)
+
+    @cached_property
     def normals(self) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
         """(H, W, 3) unit normals in the world on the camera's side, NaN where there is none, and (H, W) values of
         :class:`NormalSource`."""
-        normals = depth_normals(self._image, self._camera)
+        normals = self.fitted.copy()
         source = np.where(np.isnan(normals[..., 0]), NormalSource.NONE, NormalSource.FITTED).astype(np.uint8)
         depth, triangle = self._look()
         with np.errstate(all="ignore"):

@@ -115,22 +115,22 @@ class Frame:
         """
         return bits_of(name, self.state(name), self._reaching.get(name))
 
-    def irradiance(self, name: str | None = None, normals: Any = None) -> npt.NDArray[np.float32]:
+    def irradiance(self, name: str | Iterable[str] | None = None, normals: Any = None) -> npt.NDArray[np.float32]:
         """(H, W) float32 irradiance of the surface in each pixel by the light ``name`` [W/m2]: what falls on it from
         the points of the light that reach, each with its cosines and distance. It is computed in float64 and rounded
         once; float32 holds seven digits, and no lamp is known to four. 0 where no point reaches and where the surface
         is turned away; NaN where depth is invalid, and where points reach a surface of unknown normal.
 
         Args:
-            name: a light with a strength, or None: the sum of all lights, which must all have one, in ascending order
-                of names.
+            name: a light with a strength; several, or None for all: their sum, in ascending order of names.
             normals: (H, W, 3) of the surface in the world, any length but zero, NaN where unknown; None:
                 :meth:`normals`.
 
         Raises:
             ValueError: no such light, it has no strength or more than 64 points, or ``normals`` is malformed.
         """
-        names = sorted(self.names) if name is None else [self.names[self._number(name)]]
+        some = self.names if name is None else [name] if isinstance(name, str) else name
+        names = sorted({self.names[self._number(each)] for each in some})
         lights = [self._lights[each] for each in names]
         check_strengths(tuple(lights))
         surface = self._seen()
@@ -143,16 +143,20 @@ class Frame:
         with np.errstate(over="ignore"):
             return total.astype(np.float32).reshape(self._shape)
 
-    def normals(self) -> FloatArray:
+    def normals(self, mesh: bool = True) -> FloatArray:
         """(H, W, 3) float64 unit normals of the surface in the world, on the camera's side: of the triangle that the
         pixel's ray meets first in the scene as it was traced, where the depth measured is within a twentieth of that
         triangle's; else of a plane fitted through neighbouring pixels; NaN where there is none. Computed when first
         asked for; :meth:`normal_source` says which.
 
+        Args:
+            mesh: False: those of fitted planes alone, such as where the scene holds the depth image itself.
+
         Raises:
             ValueError: no light of this frame has a strength.
         """
-        return self._seen().normals[0].copy()
+        surface = self._seen()
+        return (surface.normals[0] if mesh else surface.fitted).copy()
 
     def normal_source(self) -> ByteImage:
         """(H, W) uint8 image of :class:`NormalSource` values: where :meth:`normals` are from.

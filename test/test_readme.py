@@ -234,7 +234,9 @@ def topics_of(listed: list[tuple[str, list[str]]]) -> dict[str, str]:
     for name, (kind, *_) in listed:
         if name in ("/rosout", "/parameter_events", "/clock"):
             continue
-        name = re.sub("/(mask|visibility)/lamp", r"/\1/<light>", name).replace("/lights/lamp/", "/lights/<light>/")
+        name = re.sub("/(mask|visibility|irradiance)/lamp", r"/\1/<light>", name).replace(
+            "/lights/lamp/", "/lights/<light>/"
+        )
         topics[re.sub("^/shadow_tracer/", "~/", name)] = re.sub("/(msg|srv)/", "/", kind)
     return topics
 

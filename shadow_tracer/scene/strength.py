@@ -11,7 +11,8 @@ from shadow_tracer.scene.intensity_table import IntensityTable
 
 LARGEST_STRENGTH = 1e30
 _UNITS = {"power": "W", "intensity": "W/sr", "exitance": "W/m2", "irradiance": "W/m2"}
-ISOTROPIC, LAMBERT = "isotropic", "lambert"
+QUANTITIES = tuple(_UNITS)
+MODELS = ISOTROPIC, LAMBERT = "isotropic", "lambert"
 
 
 @dataclass(frozen=True)

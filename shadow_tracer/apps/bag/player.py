@@ -33,7 +33,7 @@ from shadow_tracer.ros.world.lighting import Lighting, LightPose
 from shadow_tracer.ros.world.mesh_sources import MeshSources
 
 _NOW = 0.0  # steady time: nothing waits here
-_BY_LIGHT = ("mask", "visibility")  # topics of which each light has one
+_BY_LIGHT = ("mask", "visibility", "irradiance")  # topics of which each light has one
 _LATER = 1e9  # by then everything has waited long enough
 _BACKWARD_STAMPS = 1_000_000_000  # as in the node: images this much older than the last one mean another pass
 
@@ -46,6 +46,7 @@ class Wish:
     overlay: bool = False
     copy: bool = False
     visibility: bool = False
+    irradiance: bool = False
 
 
 @dataclass
@@ -119,7 +120,8 @@ class Player:
         self._last_stamp = 0
         self._info_stamps = sorted(background.infos)
         self._next_info = 0
-        self._mine = {names.topic(f"~/{name}") for name in ("mask", "light_bits", "camera_info", "timing", "overlay")}
+        self._mine = {names.topic(f"~/{name}") for name in ("mask", "light_bits", "camera_info", "timing")}
+        self._mine |= {names.topic(f"~/{name}") for name in ("overlay", "irradiance")}
         self._mine |= {names.topic("~/query/visibility")}
         self._mine |= {names.topic(f"~/{kind}/{light.name}") for light in settings.lights for kind in _BY_LIGHT}
         if settings.camera_info_policy == "latest":
@@ -232,6 +234,10 @@ class Player:
             if self._wish.visibility:
                 share = answer.visibility(light)
                 self._output.image(topic(f"~/visibility/{light}"), now_ns, share, "32FC1", header)
+            if self._wish.irradiance:
+                self._output.image(topic(f"~/irradiance/{light}"), now_ns, answer.irradiance(light), "32FC1", header)
+        if self._wish.irradiance:
+            self._output.image(topic("~/irradiance"), now_ns, answer.irradiance(), "32FC1", header)
         self._output.image(topic("~/mask"), now_ns, published_mask(answer, None, self._settings), "mono8", header)
         if len(answer.names) <= MOST_BITS:
             bits = answer.bits()

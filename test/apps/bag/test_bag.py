@@ -20,7 +20,7 @@ pytest.importorskip("yaml")
 
 from bag_maker import BagMaker, cloud, image, info, pixels, pose, read, transform
 
-from shadow_tracer import Bias, Bounds, Camera, DiscLight, PointLight, ShadowTracer, SpotLight
+from shadow_tracer import Bias, Bounds, Camera, DiscLight, PointLight, ShadowTracer, SpotLight, Strength
 from shadow_tracer.apps import cli
 from shadow_tracer.apps.bag import bag
 from shadow_tracer.ros.wire.cdr import encode_mesh
@@ -385,16 +385,20 @@ def test_the_part_of_a_light_that_is_seen(tmp_path: Path) -> None:
         light_names="[disc, bare]", lights__disc__type="disc", lights__disc__radius=0.2,
         lights__disc__position="[0.4, -0.3, 0.0]", lights__bare__ignore="[mesh]", bias__normal=0.0,
     )  # fmt: skip
-    found = run(still_life().write(tmp_path / "in"), tmp_path / "out.mcap", "--visibility", *lights)
+    lights += parameters(lights__disc__power=4.0)
+    found = run(still_life().write(tmp_path / "in"), tmp_path / "out.mcap", "--visibility", "--irradiance", *lights)
     (message,) = found["/shadow_tracer/visibility/disc"]
     assert (message.encoding, message.step) == ("32FC1", 4 * W)
     share = message.data.view(np.float32).reshape(H, W)
     tracer = ShadowTracer("brute_force", device="cpu", bounds=BOUNDS)
     tracer.scene.put("mesh", *plate())
-    disc = DiscLight("disc", (0.4, -0.3, 0.0), (0, 0, 1), 0.2)
+    disc = DiscLight("disc", (0.4, -0.3, 0.0), (0, 0, 1), 0.2, strength=Strength(power=4.0))
     frame = tracer.trace(depth_image(0), camera(np.eye(4)), [disc], bias=Bias(0.02, 0.003))
     np.testing.assert_array_equal(share, frame.visibility("disc"))
     assert ((share > 0) & (share < 1)).sum() > 20
+    for name in ("", "/disc"):
+        watts = found[f"/shadow_tracer/irradiance{name}"][0].data.view(np.float32).reshape(H, W)
+        np.testing.assert_array_equal(watts, frame.irradiance("disc"))
     bare = found["/shadow_tracer/visibility/bare"][0].data.view(np.float32).reshape(H, W)
     np.testing.assert_array_equal(bare, np.where(np.isnan(depth_image(0)), np.nan, 1.0))
 

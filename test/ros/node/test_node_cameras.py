@@ -286,6 +286,6 @@ def test_pixels_without_a_ray_where_no_light_shines() -> None:
     info.distortion_model, info.d = "equidistant", [0.0] * 4
     optics = intrinsics(info, WIDTH, HEIGHT, raw=True)
     frame = WaitingFrame(image_msg(MILLIMETRES, 1), MILLIMETRES, 1, 0.0)
-    answer = Answer(frame, info, None, ("sun",), ("sun",), 7, optics=optics)
+    answer = Answer(frame, info, None, ("sun",), ("sun",), (), 7, optics=optics)
     assert optics.rays is not None and 1000 < optics.rays.known.sum() < optics.rays.known.size - 300
     np.testing.assert_array_equal(answer.mask(), np.where(optics.rays.known & (MILLIMETRES > 0), 0, 7))
