@@ -160,6 +160,34 @@ class DoseMap:
         """
         return _moved(self._lifted, self._mesh().pose[:3, :3], self._mesh().pose[:3, 3])
 
+    def pose(self) -> FloatArray:
+        """(4, 4) pose of the part in the world as it is now.
+
+        Raises:
+            ValueError: as for :meth:`positions`.
+        """
+        return self._mesh().pose
+
+    def attach(self, tracer: ShadowTracer) -> None:
+        """Go on with a tracer whose scene holds the part, in whatever pose.
+
+        Raises:
+            ValueError: there is no such part, or its mesh is another surface; nothing has changed.
+        """
+        mesh = tracer.scene[self.part]
+        revisions = mesh.topology_revision, mesh.vertices_revision
+        if tracer is self.tracer and revisions == self._known:
+            return
+        if not self._is_of(mesh):
+            raise ValueError(
+                f"part: {self.part!r} has other vertices or triangles than when its dose map was made; "
+                "make a new map of it"
+            )
+        self.tracer, self._known = tracer, revisions
+
+    def _is_of(self, mesh: Mesh) -> bool:
+        return mesh_key(mesh.vertices, mesh.triangles) == self._key
+
     def irradiance_by(self, lights: Iterable[Light]) -> FloatArray:
         """(N,) irradiance of each texel by all of these lights together, as everything stands now [W/m2]; NaN where
         unknown. Adds nothing.
@@ -329,16 +357,8 @@ class DoseMap:
             raise ValueError(
                 f"part: expected one of {list(self.tracer.scene.names)}, got {self.part!r}, whose dose this is"
             )
-        mesh = self.tracer.scene[self.part]
-        revisions = mesh.topology_revision, mesh.vertices_revision
-        if self._known != revisions:
-            if mesh_key(mesh.vertices, mesh.triangles) != self._key:
-                raise ValueError(
-                    f"part: {self.part!r} has other vertices or triangles than when its dose map was made; "
-                    "make a new map of it"
-                )
-            self._known = revisions
-        return mesh
+        self.attach(self.tracer)
+        return self.tracer.scene[self.part]
 
 
 def _frozen(array: FloatArray) -> FloatArray:

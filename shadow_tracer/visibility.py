@@ -85,7 +85,9 @@ class Frame:
         self._shape = shape  # (H, W)
         self._found = found  # (L, H * W) states, or what they can be made of
         self._reaching = reaching or {}  # of lights with size: which points reach (H, W) samples
-        self._lights = {light.name: light for light in lights}
+        self.lights = tuple(lights)
+        """The lights in that order, as they were given."""
+        self._lights = {light.name: light for light in self.lights}
         self._surface = surface  # where a light has a strength
 
     @property

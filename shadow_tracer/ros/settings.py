@@ -154,6 +154,12 @@ class Settings:
     queue_capacity: int
     grid_entries: int
     diagnostics_period: float
+    dose_parts: tuple[str, ...]
+    dose_target: float
+    dose_goal: float
+    dose_max_edge: float
+    dose_side: str
+    dose_folder: str
 
     @property
     def bounds(self) -> Bounds:
