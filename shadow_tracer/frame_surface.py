@@ -82,8 +82,8 @@ class FrameSurface:
     def normals(self) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
         """(H, W, 3) unit normals in the world on the camera's side, NaN where there is none, and (H, W) values of
         :class:`NormalSource`."""
-        normals = self.fitted.copy()
-        source = np.where(np.isnan(normals[..., 0]), NormalSource.NONE, NormalSource.FITTED).astype(np.uint8)
+        normals = np.full((*self._image.shape, 3), np.nan)
+        source = np.full(self._image.shape, NormalSource.NONE, np.uint8)
         depth, triangle = self._look()
         with np.errstate(all="ignore"):
             there = np.abs(self.metres - depth) <= LARGEST_JUMP * depth.astype(np.float64)
@@ -98,6 +98,10 @@ class FrameSurface:
             normals[seen] = found[known]
             source[seen] = NormalSource.MESH
             first += len(mesh.triangles)
+        other = (source == NormalSource.NONE) & np.isfinite(self.metres) & (self.metres > 0.0)
+        if other.any():
+            normals[other] = self.fitted[other]
+            source[other & ~np.isnan(normals[..., 0])] = NormalSource.FITTED
         return normals, source
 
     def _look(self) -> DepthAndTriangle:

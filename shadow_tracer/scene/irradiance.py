@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -84,18 +85,38 @@ def irradiance_of(light: Light, points: FloatArray, normals: FloatArray, bits: B
         surface; NaN where points reach and the normal is unknown, and inside a sphere or tube and upon a point.
     """
     result = np.zeros(len(points))
-    asked = np.flatnonzero(bits)
     law = _law_of(light)
-    with np.errstate(all="ignore"):
-        for begin in range(0, len(asked), _AT_ONCE):
-            some = asked[begin : begin + _AT_ONCE]
-            p, n = np.ascontiguousarray(points[some].T), np.ascontiguousarray(normals[some].T)
-            found = law(p, n, bits[some])
-            result[some] = np.where(np.isfinite(n).all(axis=0) & np.isfinite(found), found, np.nan)
+    whole = bits == _all_bits(light) if law.whole is not None else np.zeros(len(bits), np.bool_)
+    for asked, compute in ((whole, law.whole), ((bits != 0) & ~whole, law.some)):
+        places = np.flatnonzero(asked)
+        for begin in range(0, len(places), _AT_ONCE):
+            part = places[begin : begin + _AT_ONCE]
+            p, n = np.ascontiguousarray(points[part].T), np.ascontiguousarray(normals[part].T)
+            assert compute is not None
+            with np.errstate(all="ignore"):
+                found = compute(p, n, bits[part])
+            result[part] = np.where(np.isfinite(n).all(axis=0) & np.isfinite(found), found, np.nan)
     return result
 
 
-Law = Callable[[FloatArray, FloatArray, Bits], FloatArray]
+Sum = Callable[[FloatArray, FloatArray, Bits], FloatArray]
+
+
+@dataclass(frozen=True)
+class Law:
+    """How a light's irradiance is computed, of (3, N) samples.
+
+    Attributes:
+        some: from the points that reach.
+        whole: the same up to roundings where all of them do, in a fraction of the time; None if there is no such way.
+    """
+
+    some: Sum
+    whole: Sum | None = None
+
+
+def _all_bits(light: Light) -> np.uint64:
+    return np.uint64((1 << light.samples) - 1 if isinstance(light, AreaLight) else 1)
 
 
 def _law_of(light: Light) -> Law:
@@ -204,7 +225,7 @@ def _endless(light: Light, strength: Strength) -> Law:
             total += np.where(reaches, weight * np.maximum(-dot(normals, way), 0.0), 0.0)
         return total
 
-    return law
+    return Law(law)
 
 
 def _alike(light: Light, intensity: float) -> Law:
@@ -219,7 +240,7 @@ def _alike(light: Light, intensity: float) -> Law:
             total += np.where(reaches, np.maximum(dot(v, normals), 0.0) / (square * np.sqrt(square)), 0.0)
         return total * (intensity / len(places))
 
-    return law
+    return Law(law)
 
 
 def _spot(light: SpotLight, intensity: float) -> Law:
@@ -231,7 +252,7 @@ def _spot(light: SpotLight, intensity: float) -> Law:
         square = dot(v, v)
         return intensity * np.maximum(-dot(v, axis), 0.0) * np.maximum(dot(v, normals), 0.0) / (square * square)
 
-    return law
+    return Law(law)
 
 
 def _table(light: Light, table: IntensityTable, factor: float) -> Law:
@@ -246,7 +267,7 @@ def _table(light: Light, table: IntensityTable, factor: float) -> Law:
             total += np.where(reaches, part, 0.0)
         return total * (factor / len(places))
 
-    return law
+    return Law(law)
 
 
 def _tube(light: TubeLight, model: str, watts: float) -> Law:
@@ -255,20 +276,23 @@ def _tube(light: TubeLight, model: str, watts: float) -> Law:
     axis = (light.end - light.start) / length
     per_metre = watts / length / (math.pi**2 if model == LAMBERT else 4.0 * math.pi)
 
-    def law(points: FloatArray, normals: FloatArray, bits: Bits) -> FloatArray:
+    def total(points: FloatArray, normals: FloatArray, pieces: list[tuple[float, float, Any]]) -> FloatArray:
         line = closed_forms.Line(light.start, axis, points, normals)
         piece = line.lambert if model == LAMBERT else line.isotropic
         total = np.zeros(points.shape[1])
-        for k, reaches in enumerate(_reaching(bits, light.samples)):
-            found = piece(length * k / light.samples, length * (k + 1) / light.samples)
-            total += np.where(reaches, found, 0.0)
+        for begin, end, reaches in pieces:
+            total += np.where(reaches, piece(begin, end), 0.0)
         beside = (line.begin > 0.0) | (line.begin + length < 0.0)
         # On the axis beyond the ends nothing is seen of a Lambertian tube. Inside there is no answer.
         total[beside & (line.distance == 0.0)] = 0.0 if model == LAMBERT else np.nan
         total[~beside & ((line.distance < light.radius) | (line.distance == 0.0))] = np.nan
         return total * per_metre
 
-    return law
+    def some(points: FloatArray, normals: FloatArray, bits: Bits) -> FloatArray:
+        ends = [length * k / light.samples for k in range(light.samples + 1)]
+        return total(points, normals, list(zip(ends[:-1], ends[1:], _reaching(bits, light.samples), strict=True)))
+
+    return Law(some, lambda points, normals, bits: total(points, normals, [(0.0, length, True)]))
 
 
 def _flat(light: DiscLight | RectangleLight, radiance: float) -> Law:
@@ -277,6 +301,11 @@ def _flat(light: DiscLight | RectangleLight, radiance: float) -> Law:
     normal = normal / math.sqrt(float(normal @ normal))
     if isinstance(light, RectangleLight):
         corners = light.position + np.array([[1, 1], [-1, 1], [-1, -1], [1, -1.0]]) @ np.stack([light.u, light.v])
+
+    def whole(points: FloatArray, normals: FloatArray, bits: Bits) -> FloatArray:
+        if isinstance(light, RectangleLight):
+            return radiance * closed_forms.polygon(corners, points, normals)
+        return radiance * closed_forms.disc(light.position, normal, light.radius, points, normals)
 
     def law(points: FloatArray, normals: FloatArray, bits: Bits) -> FloatArray:
         some, all_of_it = np.zeros((2, points.shape[1]))
@@ -287,13 +316,9 @@ def _flat(light: DiscLight | RectangleLight, radiance: float) -> Law:
             part = turned * np.maximum(dot(v, normals), 0.0) / (square * square)
             all_of_it += part
             some += np.where(reaches, part, 0.0)
-        if isinstance(light, RectangleLight):
-            whole = closed_forms.polygon(corners, points, normals)
-        else:
-            whole = closed_forms.disc(light.position, normal, light.radius, points, normals)
-        return radiance * whole * np.where(all_of_it == 0.0, 0.0, some / all_of_it)
+        return whole(points, normals, bits) * np.where(all_of_it == 0.0, 0.0, some / all_of_it)
 
-    return law
+    return Law(law, whole)
 
 
 def _sphere(light: SphereLight, radiance: float) -> Law:
@@ -322,4 +347,4 @@ def _sphere(light: SphereLight, radiance: float) -> Law:
         share = np.where(up <= -light.radius, 0.0, share)
         return np.where((square > light.radius**2) & (seen > 0.0), radiance * whole * share, np.nan)
 
-    return law
+    return Law(law)
