@@ -106,7 +106,7 @@ def perform(chosen: argparse.Namespace) -> int:
         tracer.warm_up()
         player = Player(recording, background, settings, tracer, output, names, wish)
         result = _play(player, recording)
-        advice = [*player.meshes.left_out, *_advice(recording, background, settings, result)]
+        advice = [*player.meshes.left_out, *player.dose.troubles, *_advice(recording, background, settings, result)]
     _summarise(result, output, player, tracer, time.monotonic() - start)
     for line in advice:
         print(f"warning: {line}", file=sys.stderr)

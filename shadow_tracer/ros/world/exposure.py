@@ -146,7 +146,7 @@ class Exposure:
             ValueError: there is no folder, or no map.
             OSError: a file cannot be written.
         """
-        folder = _folder(settings)
+        folder = folder_of(settings)
         if not self.maps:
             raise ValueError("there is no dose map to save: no part of dose.parts has been exposed yet")
         for part, each in self.maps.items():
@@ -159,7 +159,7 @@ class Exposure:
         Raises:
             ValueError: there is no folder, a file is missing or broken, or the part's mesh is another one now.
         """
-        folder = _folder(settings)
+        folder = folder_of(settings)
         maps = {part: DoseMap.load(_path(folder, part), tracer) for part in settings.dose_parts}
         for part, each in maps.items():
             if (each.part, each.max_edge, each.side) != (part, settings.dose_max_edge, settings.dose_side):
@@ -171,7 +171,8 @@ class Exposure:
         return len(maps)
 
 
-def _folder(settings: Settings) -> Path:
+def folder_of(settings: Settings) -> Path:
+    """``dose.folder``. Raises ValueError if there is none."""
     if not settings.dose_folder:
         raise ValueError("dose.folder: expected a folder for dose maps, got none")
     folder = Path(settings.dose_folder)
