@@ -87,7 +87,7 @@ def _unit(header: str, lanes: int, structs: dict[str, dict[str, Any]]) -> str:
             text += _ARRAYS[kind]
             continue
         if kind == "Asked":
-            struct = next((query.asked for query in queries.ALL if query.header == header), queries.ANY_HIT.asked)
+            struct = next(query.asked for query in queries.ALL if query.header in {name for name, _ in needed})
         else:
             rooms = structs[kind]
             struct = rooms.get(str(Path(header).parent), next(iter(rooms.values())))

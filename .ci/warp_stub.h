@@ -5,6 +5,8 @@ float fabsf(float);
 float floorf(float);
 float ceilf(float);
 double fabs(double);
+double floor(double);
+double ceil(double);
 double sqrt(double);
 float sqrtf(float);
 void* memcpy(void*, const void*, size_t);

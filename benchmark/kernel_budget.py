@@ -65,6 +65,15 @@ EXCEPTIONS = {
     # Rays through a structure over triangles.
     "accelerators.bvh.mesh_bvh.mask/walk_binary_tree_mask_1": Budget(216, 1344, reason=_MASK),
     "accelerators.bvh.mesh_bvh.closest/walk_binary_tree_closest_1": Budget(144, 1216, reason=_CLOSEST),
+    "accelerators.bvh.tree.mask/walk_pairs_mask_1": Budget(196, 1360, reason=_MASK),
+    "accelerators.bvh.tree.mask/walk_threaded_mask_1": Budget(194, 1088, reason=_MASK),
+    "accelerators.bvh.tree.closest/walk_pairs_closest_1": Budget(144, 1168, reason=_CLOSEST),
+    "accelerators.bvh.tree.closest/walk_threaded_closest_1": Budget(136, 896, reason=_CLOSEST),
+    "accelerators.bvh.tree.any_hit/walk_pairs_any_hit_1": Budget(68, 264, reason="a stack of 60 nodes"),
+    "accelerators.bvh.build/split_level": Budget(
+        224, 2024, reason="bins of triangles along three axes, one node a thread; once per topology"
+    ),
+    "accelerators.bvh.build/build_tree": Budget(224, 2576, reason=_CPU),
     "accelerators.uniform_grid.uniform_grid.closest/walk_cells_closest_1": Budget(112, 1104, reason=_CLOSEST),
     "accelerators.brute_force.brute_force.closest/walk_every_triangle_closest_1": Budget(104, 896, reason=_CLOSEST),
     "accelerators.bvh.mesh_bvh.any_hit/walk_binary_tree_any_hit_1": Budget(66, 288, reason="a stack of 64 nodes"),
@@ -79,6 +88,19 @@ EXCEPTIONS = {
         112, reason="float64: a triangle's cells in two grids, and in the one that is planned"
     ),
     "accelerators.hierarchical_grid.nesting/enter_cells": Budget(80, reason="a triangle's cells in three grids"),
+    "accelerators.kd_tree.splitting.any_hit/walk_planes_any_hit_1": Budget(
+        66, 416, reason="a stack of 40 nodes, sixteen mailboxes"
+    ),
+    "accelerators.kd_tree.splitting.closest/walk_planes_closest_1": Budget(130, 1312, reason=_CLOSEST),
+    "accelerators.octree.splitting.any_hit/walk_octants_any_hit_1": Budget(
+        66, 208, reason="sixteen cells around, sixteen mailboxes"
+    ),
+    "accelerators.octree.splitting.closest/walk_octants_closest_1": Budget(138, 1104, reason=_CLOSEST),
+    "accelerators.bsp.splitting.any_hit/walk_halves_any_hit_1": Budget(
+        76, 1136, reason="a reference: a stack of 48 nodes and parts of the ray in float64"
+    ),
+    "accelerators.bsp.splitting/count_halves": Budget(100, 848, reason="three exact sides: " + _EXACT),
+    "accelerators.bsp.splitting/pass_on": Budget(100, 848, reason="three exact sides: " + _EXACT),
     # Float64 per pixel.
     "samples.rays/project_samples": Budget(96, reason="float64: a light's frame and the sample in it"),
     "samples.pixels/unproject": Budget(80, reason="float64: the camera's pose and the sample"),

@@ -23,6 +23,7 @@ from shadow_tracer.scene.lights import (
 )
 from shadow_tracer.scene.mesh import Mesh, Scene
 from shadow_tracer.scene.strength import Strength
+from shadow_tracer.scene.surface import HeightField
 from shadow_tracer.tracer import ShadowTracer
 from shadow_tracer.visibility import Frame, State
 
@@ -38,6 +39,7 @@ __all__ = [
     "DiscLight",
     "DoseMap",
     "Frame",
+    "HeightField",
     "IntensityTable",
     "Mesh",
     "NormalSource",

@@ -10,7 +10,8 @@ import numpy as np
 
 from shadow_tracer import Bounds, Camera, Scene
 
-WALKERS = ("mesh_bvh/refit", "mesh_bvh/rebuild", "mesh_bvh/binary", "uniform_grid", "brute_force")
+WALKERS = ("mesh_bvh/refit", "mesh_bvh/rebuild", "mesh_bvh/binary", "bvh/sah", "bvh/median", "bvh/lbvh", "bvh/threaded")
+WALKERS += ("uniform_grid", "kd_tree", "octree", "brute_force")
 
 
 class OneWorld:

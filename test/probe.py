@@ -243,7 +243,7 @@ def stage_uploads(tracer: ShadowTracer) -> None:
 
 def fetched(tracer: ShadowTracer) -> set[int]:
     """Addresses of the arrays on the host into which results are fetched."""
-    return {mirror.ptr for mirror in context(tracer).samples.host._mirrors.values()}
+    return {mirror.ptr for _, mirror, _ in context(tracer).samples.host._copies.values()}
 
 
 def scene_bytes(tracer: ShadowTracer) -> int:
@@ -259,6 +259,11 @@ def fail_in_a_frame(tracer: ShadowTracer) -> None:
 def structure(tracer: ShadowTracer) -> Any:
     """What the rays of a walker go through, of its only band."""
     return pipeline(tracer).build.structure
+
+
+def builds(tracer: ShadowTracer) -> int:
+    """How often the tree of ``bvh`` has been built."""
+    return int(pipeline(tracer).build.tree.builds)
 
 
 def closest_hits(tracer: ShadowTracer, camera: Any) -> Any:
@@ -351,3 +356,23 @@ def _forget(band: Any) -> None:
         band._kept.forget()
     if hasattr(band.pipeline, "_hints"):  # of mesh_bvh: what hid each ray last
         band.pipeline._hints.zero_()
+
+
+def charts(tracer: ShadowTracer) -> tuple[list[str], int]:
+    """Of ``height_field``: names of the surfaces that have a chart, and the number of the one that the last light has
+    been swept over, -1 if none has."""
+    accelerator: Any = pipeline(tracer)
+    return [placed.mesh.name for placed in accelerator._charts.placed], int(accelerator._sweeps.sweep.number)
+
+
+def lose_places(tracer: ShadowTracer) -> None:
+    """Let no chart of ``height_field`` know where its positions are, until its surface changes."""
+    accelerator: Any = pipeline(tracer)
+    accelerator._charts.structure.beside.fill_(1.0e30)
+
+
+def light_frame(tracer: ShadowTracer, light: Any) -> Any:
+    """The frame that the last one used around a light, the first one."""
+    from shadow_tracer.gpu.exact.light_frame import make_light_frame
+
+    return make_light_frame(light, anchor(tracer))

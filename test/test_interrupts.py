@@ -112,6 +112,10 @@ _KINDS: list[tuple[str, int, dict[str, Any], str]] = [
     ("mesh_bvh/refit", 1, {}, probe.USUAL),
     ("uniform_grid/dda", 1, {}, probe.USUAL),
     ("hierarchical_grid/nested", 1, {}, probe.CUDA),
+    ("kd_tree/sah", 1, {}, probe.USUAL),
+    ("octree/parametric", 1, {}, probe.CUDA),
+    ("light_buffer/cube", 1, {}, probe.USUAL),
+    ("ray_classification/lazy", 1, {}, probe.USUAL),
     ("brute_force/filtered", 2, {}, probe.USUAL),
     ("auto/measured", 2, {}, probe.USUAL),
 ]

@@ -37,8 +37,8 @@ class Bounds:
             CPU decides them where it finds them); the node queues of the breadth-first variants have an eighth of it
             for each level. A full queue costs time (counted in ``overflow_passes``), never an answer.
         grid_entries: (tile, triangle) entries of pipeline ``light_grid`` and of depth cameras. Too few cost passes
-            (counted in ``overflow_passes``), never an answer. For ``uniform_grid`` and ``hierarchical_grid``,
-            memberships of triangles in cells; too few make larger cells.
+            (counted in ``overflow_passes``), never an answer. For grids and trees, such as ``uniform_grid`` and
+            ``kd_tree``, memberships of triangles in cells; too few make larger cells.
         max_sample_sets: sets of samples (``ShadowTracer.trace(samples=)``) that keep what can be used again; each has
             buffers for all the other bounds, the scene aside.
 

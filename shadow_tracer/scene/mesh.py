@@ -26,6 +26,7 @@ from shadow_tracer.scene.checks import (
     rigid_pose,
     unusable_vertices,
 )
+from shadow_tracer.scene.surface import BoolArray, organised
 
 IntArray = npt.NDArray[np.int32]
 
@@ -114,11 +115,22 @@ class _Positions:
 
 
 class Mesh:
-    """A named triangle mesh with a rigid pose. Made and changed by :class:`Scene`; the arrays are read-only."""
+    """A named triangle mesh, or an organised surface, with a rigid pose. Made and changed by :class:`Scene`; the arrays
+    are read-only."""
 
-    def __init__(self, name: str, vertices: FloatArray, triangles: IntArray, pose: FloatArray) -> None:
+    def __init__(
+        self,
+        name: str,
+        vertices: FloatArray,
+        triangles: IntArray,
+        pose: FloatArray,
+        grid: tuple[int, int] | None = None,
+    ) -> None:
         self.name = name
         """Name within its scene."""
+        self.grid = grid
+        """Rows and columns of a surface, whose vertices lie row by row and whose triangles are two to a quad
+        (``surface.py``); None for any other mesh."""
         self.triangles = triangles
         """(T, 3) int32 zero-based vertex indices."""
         self.topology_revision = next(_serial)
@@ -145,6 +157,11 @@ class Mesh:
     def pose_revision(self) -> int:
         """Changes when the pose changes."""
         return self._positions.pose_revision
+
+    @property
+    def valid(self) -> BoolArray:
+        """(V,) vertices that are there, of a surface (R, C)."""
+        return ~np.isnan(self.vertices[:, 0]).reshape(self.grid or (len(self.vertices),))
 
     @property
     def degenerate_count(self) -> int:
@@ -234,17 +251,71 @@ class Scene:
         new_vertices = _vertices(vertices)
         new_triangles = _triangles(triangles, len(new_vertices))
         new_vertices = _usable(new_vertices, new_triangles, nonfinite)
+        return self._put(name, new_vertices, new_triangles, pose, None)
+
+    def put_surface(self, name: str, positions: Any, valid: Any = None, pose: Any = None) -> Mesh:
+        """Add an organised surface or replace what has that name: the two triangles of each quad between neighbouring
+        rows and columns; ``scene/surface.py`` says along which diagonal quads are cut.
+
+        A quad casts the shadow of its valid corners: of three their triangle, of fewer nothing. Several charts share
+        one surface where rows or columns between them are not valid.
+
+        Args:
+            name: non-empty string.
+            positions: (R, C, 3) real numbers [m], R and C at least 1, or a :class:`HeightField`. Copied.
+            valid: (R, C) truth values: which positions count; None is all, of a height field all that have a height.
+            pose: (4, 4) rigid transform to the world; identity if None.
+
+        Raises:
+            ValueError: an argument is malformed; the message names it and the first fault's position.
+            BoundsError: the scene would exceed ``bounds.max_triangles``.
+        """
+        name_of(name, "name")
+        surface = organised(positions, valid)
+        self._check_capacity(name, len(surface.vertices), surface.triangle_count)
+        return self._put(name, surface.vertices, surface.triangles(), pose, surface.grid)
+
+    def deform_surface(self, name: str, positions: Any, valid: Any = None) -> None:
+        """Give a surface new positions, and a new mask.
+
+        Args:
+            positions: (R, C, 3) real numbers [m], or a :class:`HeightField`, of the shape that the surface has.
+            valid: (R, C) truth values; None: the mask stays, that of a height field comes with it.
+
+        Raises:
+            ValueError: no surface of that name, another shape, or a valid position that is not finite.
+        """
+        mesh = self[name]
+        if mesh.grid is None:
+            raise ValueError(f"name: {name!r} is no surface; use deform()")
+        known = mesh.valid
+        surface = organised(positions, valid, known)
+        if surface.grid != mesh.grid:
+            raise ValueError(
+                f"positions: expected shape {(*mesh.grid, 3)} as surface {name!r} has, got {(*surface.grid, 3)}; "
+                "use put_surface() to replace it"
+            )
+        if np.array_equal(surface.valid, known):
+            self._position(mesh, vertices=surface.vertices, vertices_revision=next(_serial))
+        else:
+            self._put(name, surface.vertices, surface.triangles(), mesh.pose, mesh.grid)
+
+    def _put(
+        self, name: str, vertices: FloatArray, triangles: IntArray, pose: Any, grid: tuple[int, int] | None
+    ) -> Mesh:
+        """Store what has been checked, the pose and the capacity aside."""
         new_pose = rigid_pose(np.eye(4) if pose is None else pose, "pose")
         new_pose.setflags(write=False)
-        totals = self._check_capacity(name, len(new_vertices), len(new_triangles))
+        totals = self._check_capacity(name, len(vertices), len(triangles))
         old = self._meshes.get(name)
         revision = self._revision = next(_serial)
-        if old is not None and len(old.vertices) == len(new_vertices) and _equal(old.triangles, new_triangles):
+        same = old is not None and old.grid == grid and len(old.vertices) == len(vertices)
+        if old is not None and same and _equal(old.triangles, triangles):
             moved = not np.array_equal(old.pose, new_pose)
             pose, pose_revision = (new_pose, revision) if moved else (old.pose, old.pose_revision)
-            old._positions = _Positions(new_vertices, pose, revision, pose_revision)
+            old._positions = _Positions(vertices, pose, revision, pose_revision)
         else:
-            self._meshes[name] = Mesh(name, new_vertices, new_triangles, new_pose)
+            self._meshes[name] = Mesh(name, vertices, triangles, new_pose, grid)
         self._counts = (revision, *totals)
         return self._meshes[name]
 
@@ -269,6 +340,8 @@ class Scene:
                 that is not finite.
         """
         mesh = self[name]
+        if mesh.grid is not None:
+            raise ValueError(f"name: {name!r} is a surface; use deform_surface()")
         new_vertices = _vertices(vertices)
         if len(new_vertices) != len(mesh.vertices):
             raise ValueError(

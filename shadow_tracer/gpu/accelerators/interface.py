@@ -80,6 +80,7 @@ class Context:
     def any_hit(self, rays: Rays) -> AnyHit:
         """What the query *any hit* needs for the rays of a light."""
         asked = AnyHit()
+        asked.width = self.samples.width
         asked.rays, asked.occluders, asked.answers = self.samples.rays, self.occluders(rays), self.answers(rays)
         return asked
 
@@ -114,6 +115,9 @@ class Accelerator:
 
     traits = Traits()
 
+    def __init__(self, context: Context) -> None:
+        self._context = context
+
     def follow(self) -> None:
         """Make or mend what depends on the occluders alone, for revisions that it was not made for; called once per
         frame before any light."""
@@ -135,6 +139,10 @@ class Accelerator:
         """What its list could not hold, as it has told ``SampleSet.parts``: shows all once more, a list at a time, and
         lets waiting pairs be decided in between. The rays are as they were before ``show``."""
         raise NotImplementedError
+
+    def silent(self, light: LightFrame) -> tuple[int, int]:
+        """Triangles that cast nothing for a light of the frame: degenerate ones, and those culled."""
+        return self._context.records.silent(light.number)
 
     def learn(self, counters: dict[str, int]) -> None:
         """The counters of the frame that just ended; may change how, never what, it shows."""

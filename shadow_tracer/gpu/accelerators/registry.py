@@ -40,8 +40,9 @@ AUTO = "auto"
 _PACKED = "light_grid.packed:PackedGrid"
 _LINEAR = "cone_hierarchy.linear:LinearHierarchy"
 _PAPER = "paper_hierarchy.paper:PaperHierarchy"
-_BVH = "bvh.mesh_bvh:MeshBvh"
+_MESH_BVH = "bvh.mesh_bvh:MeshBvh"
 _BRUTE_FORCE = "brute_force.brute_force:BruteForce"
+_BVH_VARIANTS = ("sah", "median", "lbvh", "threaded")
 _OF_THE_PAPER = (
     "precise",
     "precise_sorted",
@@ -65,8 +66,13 @@ REGISTRY: dict[str, PipelineEntry] = {
     ),
     "mesh_bvh": PipelineEntry(
         "bounding volume hierarchy over the triangles, refitted while only positions change",
-        dict.fromkeys(("refit", "rebuild", "binary"), _BVH),
+        dict.fromkeys(("refit", "rebuild", "binary"), _MESH_BVH),
         ("refit", "rebuild", "binary"),
+    ),
+    "bvh": PipelineEntry(
+        "a tree over blocks of 16 triangles, rays in packets of 16; built for each topology, refitted as things move",
+        dict.fromkeys(_BVH_VARIANTS, "bvh.bvh:Bvh"),
+        _BVH_VARIANTS,
     ),
     "uniform_grid": PipelineEntry(
         "a grid of equal cells over the triangles, rays step from cell to cell",
@@ -77,6 +83,34 @@ REGISTRY: dict[str, PipelineEntry] = {
         "a grid over the triangles whose dense cells hold grids, rays step from cell to cell",
         {"nested": "hierarchical_grid.hierarchical_grid:HierarchicalGrid"},
         ("nested",),
+    ),
+    "height_field": PipelineEntry(
+        "surfaces as heights over rows and columns, rays go down boxes of these; meshes as in mesh_bvh",
+        {"pyramid": "height_field.height_field:HeightFields"},
+        ("pyramid",),
+    ),
+    "kd_tree": PipelineEntry(
+        "a tree of planes along the axes, where they make rays cheapest; rays walk from cell to cell",
+        {"sah": "kd_tree.kd_tree:KdTree"},
+        ("sah",),
+    ),
+    "octree": PipelineEntry(
+        "a tree of cubes over the triangles, split while they have many; rays walk from cube to cube",
+        {"parametric": "octree.octree:Octree"},
+        ("parametric",),
+    ),
+    "light_buffer": PipelineEntry(
+        "cells of directions around the light, triangles in each from the light outwards; rays look up their cell",
+        {"cube": "light_buffer.light_buffer:LightBuffer"},
+    ),
+    "bsp": PipelineEntry(
+        "halves of space cut by planes of triangles and axes, by exact signs: a reference, slow to build",
+        {"exact": "bsp.bsp:BinarySpacePartition"},
+        ("exact",),
+    ),
+    "ray_classification": PipelineEntry(
+        "cells of origins and directions, lists of triangles made when rays first ask for them: a reference, slow",
+        {"lazy": "ray_classification.ray_classification:RayClassification"},
     ),
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",

@@ -37,7 +37,7 @@ PADDING = 2.0**-19
 # Where boxes lie that hold nothing: here in x, beyond the scene's reach to 1 and all padding, each elsewhere in y.
 OUTSIDE = 1.02
 _FAR_AWAY = 2.0**26
-native.constants(BOX_PADDING=PADDING, FAR_AWAY=_FAR_AWAY)
+native.constants(BOX_PADDING=PADDING, FAR_AWAY=_FAR_AWAY, BOX_OUTSIDE=OUTSIDE)
 
 
 @wp.struct

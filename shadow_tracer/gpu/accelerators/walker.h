@@ -3,11 +3,49 @@
 // lanes
 // Sends rays through a structure, LANES together.
 struct WIDE(Walker) {
+    // Numbers of rays, in turn. Of an image, for rays that go together: tiles of four by four pixels of each four rows;
+    // as they are where there is no room for that.
+    struct Order {
+        enum { SIDE = 4 };
+        const int width, count, tiled; // tiled: those of four rows that are in tiles
+        int base, within;              // the first of four rows, and how many of them have been
+        bool whole;
+
+        inline Order(int first, int width, int count)
+            : width(width), count(count), tiled(width / SIDE * SIDE * SIDE), base(0), within(first), whole(false) {
+            if (width > 0) {
+                within = first % (SIDE * width);
+                base = first - within;
+                whole = base + SIDE * width <= count;
+            }
+        }
+        inline int next() {
+            const int k = within++;
+            int number = base + k;
+            if (whole && k < tiled)
+                number = base + (k >> 2 & 3) * width + (k >> 4) * SIDE + (k & 3);
+            else if (whole)
+                number = base + (k - tiled) / (width % SIDE) * width + tiled / SIDE + (k - tiled) % (width % SIDE);
+            if (width > 0 && within == SIDE * width) {
+                base += within;
+                within = 0;
+                whole = base + SIDE * width <= count;
+            }
+            return number;
+        }
+    };
     // Those from `first` to `last`.
     static inline void some(int first, int last, int row, const Structure& structure, const Asked& asked) {
         WIDE(Query) query(asked);
+#if LANES > 1
+        Order order(first, asked.width, query.count());
+#endif
         for (int ray = first; ray < last; ++ray) {
+#if LANES > 1
+            query.take(order.next());
+#else
             query.take(ray);
+#endif
             if (query.taken && (query.full() || ray + 1 == last)) {
                 query.begin();
                 WIDE(Walk)::walk(structure, query);

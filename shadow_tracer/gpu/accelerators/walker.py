@@ -78,6 +78,14 @@ class Walk:
                 self._kernels[query.name, wide] = kernel
                 self.functions.append(function)
 
+    def __or__(self, other: Walk) -> Walk:
+        """Kernels of both: for each query those of the one that answers it, of ``other`` if both do."""
+        made = Walk.__new__(Walk)
+        made.modules = list(dict.fromkeys([*self.modules, *other.modules]))
+        made.functions = [*self.functions, *other.functions]
+        made._kernels = {**self._kernels, **other._kernels}
+        return made
+
     def launch(self, query: Query, count: int, structure: Any, asked: Any, device: Any) -> None:
         """Send ``count`` rays through a structure."""
         wide = forms.wide(device)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from typing import Any
+from weakref import ref
 
 import numpy as np
 import numpy.typing as npt
@@ -113,18 +114,22 @@ class HostCopies:
     def __init__(self, device: Any, mirrored: bool) -> None:
         self._device = device
         self._mirrored = mirrored
-        self._mirrors: dict[int, wp.array] = {}
-        self._whole: list[wp.array] = []
+        # By where an array is: it, its copy, and whether that is fetched in full.
+        self._copies: dict[int, tuple[ref[wp.array], wp.array, bool]] = {}
         self._asked: wp.Event | None = None
 
     def add(self, array: wp.array, whole: bool = True) -> wp.array:
-        """Have room for a copy of ``array``, which is returned; ``whole``: fetched in full each time."""
+        """Have room for a copy of ``array``, which is returned; ``whole``: fetched in full each time. Both as long as
+        somebody has the array."""
         if self._mirrored:
-            pinned = self._device.is_cuda
-            mirror = wp.zeros(array.shape, dtype=array.dtype, device="cpu", pinned=pinned)
-            self._mirrors[int(array.ptr or 0)] = mirror
-            if whole:
-                self._whole.append(array)
+            copies, place = self._copies, int(array.ptr or 0)
+
+            def end(gone: ref[wp.array]) -> None:
+                if place in copies and copies[place][0] is gone:
+                    del copies[place]
+
+            mirror = wp.zeros(array.shape, dtype=array.dtype, device="cpu", pinned=self._device.is_cuda)
+            copies[place] = ref(array, end), mirror, whole
         return array
 
     def fetch(self, array: wp.array, count: int) -> None:
@@ -132,14 +137,17 @@ class HostCopies:
         wait for the device."""
         if not self._mirrored:
             return
-        for each in self._whole:
-            wp.copy(self._mirrors[int(each.ptr or 0)], each)
-        wp.copy(self._mirrors[int(array.ptr or 0)], array, count=count)
+        for known, mirror, whole in list(self._copies.values()):
+            each = known() if whole else None
+            if each is not None:
+                wp.copy(mirror, each)
+        wp.copy(self._copies[int(array.ptr or 0)][1], array, count=count)
         if self._device.is_cuda:
             self._asked = wp.get_stream(self._device).record_event(self._asked or wp.Event(self._device))
             wp.synchronize_event(self._asked)
 
     def read(self, array: wp.array) -> npt.NDArray[Any]:
         """The array as it was when last fetched; overwritten when that happens again."""
-        found: npt.NDArray[Any] = self._mirrors.get(int(array.ptr or 0), array).numpy()
+        copy = self._copies.get(int(array.ptr or 0))
+        found: npt.NDArray[Any] = (array if copy is None else copy[1]).numpy()
         return found

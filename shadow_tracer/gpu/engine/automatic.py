@@ -14,6 +14,12 @@ The least expected cost wins; the current pipeline is kept until another is expe
 costs a frame in which things are made anew. A candidate that is better than thought would never show it, so a near
 second is tried now and then, for two frames.
 
+The others are no candidates, because a candidate is better wherever they are good; measured on one core of the CPU, on
+street, room and stadium, with what it takes to build them. Rays take 1.8 to 5 times as long through ``kd_tree``,
+``octree`` and the grids as through ``mesh_bvh``, and building them 20 to 50 times as long as refitting it.
+``light_buffer`` takes 1.2 to 2.4 times as long as ``light_grid`` where nothing changes, and 5 to 10 times where
+something does. ``bsp`` and ``ray_classification`` are references.
+
 No Warp here.
 """
 

@@ -275,7 +275,7 @@ class FrameTracer:
             with self.stages.stage("download"):
                 self._planes.fetch(len(lights))
         # Further passes may make another light's records in the place of these.
-        silent = self._context.records.silent(len(lights) - 1)
+        silent = self._pipeline.silent(light_frames[-1])
         further = sum(band.finish(passes) for band in working)
         with self.stages.stage("download"):
             found = self._found(working, len(lights), further > 0)

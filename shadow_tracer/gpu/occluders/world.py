@@ -13,7 +13,7 @@ holds more than it need.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -79,6 +79,23 @@ def transform_blocks(
     transform_block(row0, row1, row2, first, begin, wp.min(begin + _BLOCK, local.shape[0]), local, world)
 
 
+class Some:
+    """Some of the meshes of a scene.
+
+    Args:
+        revision: changes whenever one of them does, or which they are.
+    """
+
+    def __init__(self, meshes: Sequence[Mesh], revision: int) -> None:
+        self._meshes = meshes
+        self.revision = revision
+        self.triangle_count = sum(len(mesh.triangles) for mesh in meshes)
+        self.vertex_count = sum(len(mesh.vertices) for mesh in meshes)
+
+    def __iter__(self) -> Iterator[Mesh]:
+        return iter(self._meshes)
+
+
 @dataclass
 class _Part:
     """Where a mesh lies in the buffers, and which of its revisions is there."""
@@ -90,7 +107,7 @@ class _Part:
     topology: int
     vertices: int
     pose: int
-    mesh_triangles: npt.NDArray[np.int32]  # (T, 3) by its own vertices
+    mesh: Mesh
     mesh_vertices: FloatArray  # (V, 3) in the mesh's own frame
     mesh_pose: FloatArray
     finite: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)  # box of its vertices, once it is known
@@ -116,7 +133,7 @@ class SceneBuffers:
         made: what is made of the scene alone, once for all that ask about it.
         triangle_count, vertex_count: what is looked at: those of meshes and of the gaps between them.
         live_triangles: those of meshes alone.
-        left_out: triangles that cast nothing for the time being, see ``leave_out``.
+        left_out: triangles that cast nothing for the time being, see ``leave_out``; ``names_left_out``: what was asked.
     """
 
     def __init__(self, bounds: Bounds, device: Any, upload: Uploads | None = None, ordered: bool = False) -> None:
@@ -131,6 +148,7 @@ class SceneBuffers:
         self.triangle_count = self.vertex_count = self.live_triangles = 0
         self.revision = Revision()
         self.left_out: Ranges = ()
+        self.names_left_out: Collection[str] = ()
         self._ordered = ordered
         self._history = History()
         self._box: tuple[Revision, FloatArray, FloatArray] | None = None
@@ -138,7 +156,7 @@ class SceneBuffers:
         self._copied = -1  # revision of the scene
         self._whole = False  # whether what is said here is so
 
-    def sync(self, scene: Scene) -> None:
+    def sync(self, scene: Scene | Some) -> None:
         """Copy what changed in ``scene`` since the last call; all of it after a call that raised."""
         if self._whole and scene.revision == self._copied:
             return
@@ -159,6 +177,7 @@ class SceneBuffers:
         """From now on the meshes of these names, or of names that begin with one and a slash, cast nothing, and all
         others do; the revision stays. Names of no mesh mean nothing. To be ended, by no names, before the next
         ``sync``."""
+        self.names_left_out = names
         groups = tuple(f"{name}/" for name in names)
         gone = {name for name in self._parts if name in names or name.startswith(groups)} if names else set()
         out = merged(self._parts[name].slot[1] for name in gone)
@@ -169,7 +188,7 @@ class SceneBuffers:
             if name in gone:
                 self.triangles[first:last].fill_(wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX))
             elif any(begin < last and first < end for begin, end in self.left_out):
-                self._put_triangles(part.mesh_triangles, part.first_vertex, first)
+                self._put_triangles(part.mesh.triangles, part.first_vertex, first)
         self.left_out = out
 
     def _put_triangles(self, triangles: npt.NDArray[np.int32], first_vertex: int, first: int) -> None:
@@ -182,7 +201,7 @@ class SceneBuffers:
         self._parts, self.revision = {}, Revision(number, number)
         self.upload(self.vertices, np.full((1, 3), np.nan), GAP_VERTEX)
 
-    def _copy(self, scene: Scene) -> None:
+    def _copy(self, scene: Scene | Some) -> None:
         placed, before = True, self._parts
         parts: dict[str, _Part] = {}
         vertices: list[Range] = []
@@ -207,7 +226,7 @@ class SceneBuffers:
             self._history.add(number, merged([*triangles, *(slot[1] for slot in left)]), merged(vertices))
             self.revision = Revision(number if left or not placed else self.revision.topology, number)
 
-    def _places(self, scene: Scene) -> list[tuple[int, int]]:
+    def _places(self, scene: Scene | Some) -> list[tuple[int, int]]:
         """First vertex and triangle of each mesh: where it is, in a gap, behind the others, or, if that does not do,
         end to end."""
         if self._ordered:
@@ -250,6 +269,15 @@ class SceneBuffers:
         """Number of meshes."""
         return len(self._parts)
 
+    def placed(self) -> list[tuple[Mesh, int, int]]:
+        """Each mesh, as it is there, with its first vertex and its first triangle."""
+        return [(part.mesh, part.first_vertex, part.first_triangle) for part in self._parts.values()]
+
+    @property
+    def copied(self) -> int:
+        """Revision of the scene that is there."""
+        return self._copied
+
     def nbytes(self) -> int:
         """Bytes reserved on the device, and by what is made of the scene."""
         own = int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
@@ -279,7 +307,7 @@ class SceneBuffers:
             mesh.topology_revision,
             mesh.vertices_revision,
             mesh.pose_revision,
-            mesh.triangles,
+            mesh,
             mesh.vertices,
             mesh.pose,
             old.finite if old is not None and old.vertices == mesh.vertices_revision else [],
@@ -321,7 +349,7 @@ class SceneBuffers:
         return (low, high) if np.all(low <= high) else (np.zeros(3), np.zeros(3))
 
 
-def _end_to_end(scene: Scene) -> list[tuple[int, int]]:
+def _end_to_end(scene: Scene | Some) -> list[tuple[int, int]]:
     """First vertex and triangle of each mesh if there are no gaps."""
     places = []
     vertices, triangles = GAP_VERTEX + 1, 0

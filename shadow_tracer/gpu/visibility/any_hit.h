@@ -33,6 +33,7 @@ struct WIDE(AnyHit) {
 #endif
     }
     inline bool full() const { return taken == LANES; }
+    inline int count() const { return answers.samples; } // of rays
     // Before triangles are shown. Lanes without a ray repeat the first one, and do not ask.
     inline void begin() {
 #if LANES == 1

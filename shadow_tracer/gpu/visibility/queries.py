@@ -42,6 +42,7 @@ class Query:
 class AnyHit:
     """Whether anything hides the rays of one light: in the frame of that light, with the triangles as it sees them."""
 
+    width: int  # of the image that the samples come from; 0 if they are a list of points
     rays: wp.array(dtype=wp.vec4)
     occluders: Occluders
     answers: Answers
@@ -81,6 +82,25 @@ MASK = Query("visibility/mask.h", Mask)
 
 
 @wp.struct
+class InPlace:
+    """Whether anything hides the rays of one light, decided where it is shown, from the coordinates of the scene: for
+    walks that show a ray a few triangles, of which records would cost more than they save."""
+
+    light: wp.vec4d
+    cull: int
+    triangle_count: int
+    positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
+    rays: wp.array(dtype=wp.vec4)
+    states: wp.array(dtype=wp.uint8)
+    vertices: wp.array(dtype=wp.vec3d)
+    triangles: wp.array(dtype=wp.vec3i)
+    counters: wp.array2d(dtype=wp.int64)
+
+
+IN_PLACE = Query("visibility/in_place.h", InPlace)
+
+
+@wp.struct
 class Closest:
     """Which triangle each pixel of a camera sees, and how far away."""
 
@@ -94,4 +114,4 @@ class Closest:
 
 
 CLOSEST = Query("visibility/closest.h", Closest)
-ALL = (ANY_HIT, MASK, CLOSEST)
+ALL = (ANY_HIT, MASK, IN_PLACE, CLOSEST)

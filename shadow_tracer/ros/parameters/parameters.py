@@ -171,7 +171,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               "Sample and triangle pairs that wait for the exact test on a GPU; fewer cost time, never an answer.",
               low=1, high=LIMITS["queue_capacity"], read_only=_BUFFER),
     Parameter("bounds.grid_entries", INTEGER, 4_194_304,
-              "Entries of triangles in tiles (light_grid) or cells (uniform_grid, hierarchical_grid); fewer cost time, "
+              "Entries of triangles in tiles (light_grid) or cells (of grids and trees); fewer cost time, "
               "never an answer.",
               low=1, high=LIMITS["grid_entries"], read_only=_BUFFER),
     Parameter("dose.parts", STRINGS, ("",),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,19 @@ def test_the_host_reads_what_was_fetched(any_device: str) -> None:
         host.fetch(longer, 4)
         assert host.read(numbers).tolist() == [5] * 3
         assert host.read(longer).tolist() == ([6] * 4 + [0] * 6 if mirrored else [6] * 10)
+
+
+def test_copies_go_with_their_arrays(any_device: str) -> None:
+    """Of a pipeline that is no longer used, for instance; a copy is one, however often an array is added."""
+    device = wp.get_device(any_device)
+    host = HostCopies(device, mirrored=True)
+    kept = host.add(host.add(wp.full(2, 7, dtype=int, device=device)))
+    for _ in range(5):
+        host.add(wp.zeros(1000, dtype=int, device=device))
+    gc.collect()
+    host.fetch(kept, 1)
+    assert host.read(kept).tolist() == [7, 7]
+    assert len(host._copies) == 1
 
 
 @pytest.mark.parametrize("lights", [1, 3])

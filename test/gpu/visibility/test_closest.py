@@ -203,7 +203,8 @@ def test_what_lies_behind_is_not_looked_at(world: OneWorld) -> None:
         if name == "brute_force":
             assert counters["tests"] == 40 * 30 * 4002
         else:
-            assert counters["tests"] < 40 * 30 * 10, name
+            most = 20 if name.startswith("bvh/") else 10  # the wall shares a block of sixteen with a part of the crowd
+            assert counters["tests"] < 40 * 30 * most, name
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ pytestmark = probe.in_both_forms
 
 _BOUNDS = {"max_triangles": 3000, "max_rays": 6000, "max_lights": 8}
 _CAMERA = Camera(40, 30, 35.0, 36.0, 19.25, 14.75)
-_WALKERS = ["mesh_bvh/refit", "mesh_bvh/binary"]
+_WALKERS = ["mesh_bvh/refit", "mesh_bvh/binary", "bvh/sah", "bvh/median", "bvh/lbvh", "bvh/threaded"]
 
 
 def _tracer(names: str, device: str, **more: Any) -> ShadowTracer:

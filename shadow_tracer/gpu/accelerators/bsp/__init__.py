@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A binary space partition of the scene."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Surfaces whose positions are heights over a regular grid."""

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Surfaces as heights over rows and columns, in a tree of boxes that needs no build: terrain, and depth images as
+occluders (maximum mipmaps: Tevs, Ihrke, Seidel 2008; here with the least heights as well, and four by four children).
+
+What has a chart (``charts.py``) is in nodes of least and largest heights; meshes and all other surfaces go through
+another accelerator (``union.py``). A ray is taken into each chart, clipped there, and goes down the nodes; the two
+triangles of each quad that it may meet are decided from their coordinates in the scene (``visibility/in_place.h``). A
+sun over terrain is swept first (``sweep.py``): most rays need no node then.
+
+Why no triangle can be missed. Let a chart's rows be the numbers that stand on the device, x a point relative to its
+centre (an exact difference of what is given, rounded once), and (S, T, H, D) what they take it to. The map takes lines
+to lines and, where D > 0, segments to segments and triangles to triangles: corner by corner. A triangle of quad (r, c)
+lies, with ``beside`` in hand, within c - beside to c + 1 + beside in s, the same in t, and between the heights of its
+corners in h. So boxes of quads, padded, hold it, and boxes of boxes hold these. Let E be the unit that paddings are
+relative to: along s and t the number of the last row or column, whichever is larger; along h 65535 steps; u = 2^-24.
+
+*What float64 rounds.* ``weight`` times the sum of a point's magnitudes, plus ``weight_constant``, bounds the sum of the
+magnitudes of the terms of each row, for the point and for all that lies among the positions, in units of E and of the
+least D. A ray for which that is above 2^20 is shown all quads (``TOO_FAR``). Below, a row is within 6 * 2^-53 * 2^20 <
+2^-30 of exact in these units, for the sample, for every position, and for every point of the ray among them, which is
+the sample's row and a multiple of the direction's. With D at least ``nearest``, s, t and h are then within 2^-29 E.
+
+*Clipping.* The part of a ray that can meet a triangle of the chart satisfies D >= nearest and lies within the rows,
+columns and heights, ``beside`` in hand. Each of these is a linear inequality in the parameter of the ray. They are
+moved outwards by 2^-18 E (and 2^-19 of the least D), which is much more than 2^-29 and what the division rounds: no
+part of that is cut off. A ray that never ends in the chart does not exist; one whose end is not finite is ``TOO_FAR``.
+
+*Down the nodes.* As in ``segment.py`` the segment's begin and span are rounded to float32, within 1 u E and 2 u E; the
+begin is moved by the padding (1 u E), a plane of a box is subtracted from it, and the difference divided, by way of the
+reciprocal: three roundings of at most 2 u E each. So a box is found where the ray passes by closer than 10 u E, of 32 u
+E that it is padded with: 2^-19 E, and ``beside`` in s and t. Heights are rounded outwards to whole steps, after they
+have been moved by 2^-6 of one (``ROUNDED``): float32 heights are off by 2^-9 steps, and 2^-13 from what float64 rounds.
+A span below 1e-20 is taken for 1e-20, which moves a point of the ray by that. Beyond the segment's end there is 1e-4 of
+it more. An empty box has a least height above its largest one.
+
+Memory: a quad costs 4.3 bytes in nodes and a position 4 bytes of height, beside 24 bytes of coordinates and, for each
+of two triangles, 12 bytes of numbers: 56 bytes a cell, and as many on the host. For a sun that is swept there are 12
+bytes a cell more. No records are made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from shadow_tracer.gpu.accelerators.height_field.charts import Charts, Structure
+from shadow_tracer.gpu.accelerators.height_field.silent import Silent
+from shadow_tracer.gpu.accelerators.height_field.sweep import Sweeps
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays
+from shadow_tracer.gpu.accelerators.union import Rest
+from shadow_tracer.gpu.accelerators.walker import Walk
+from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.visibility.queries import IN_PLACE, InPlace, Query
+
+_SIXTEEN = Walk("accelerators/height_field/walk16.h", Structure, queries=(IN_PLACE,))
+_ONE = Walk("accelerators/height_field/walk.h", Structure, queries=(IN_PLACE,))
+
+
+class HeightFields(Accelerator):
+    """The ``height_field`` pipeline."""
+
+    def __init__(self, variant: str, context: Context) -> None:
+        super().__init__(context)
+        device = context.samples.device
+        self._charts: Charts = context.scene.made.take(Charts, lambda: Charts(context.scene))
+        self._silent: Silent = context.scene.made.take(Silent, lambda: Silent(context.scene))
+        self._sweeps: Sweeps = context.shared.take(Sweeps, lambda: Sweeps(context.records.bounds, context.scene))
+        self._rest = Rest(context, ("mesh_bvh", "refit"))
+        self.walk = _SIXTEEN if forms.wide(device) else _ONE
+
+    def follow(self) -> None:
+        """Charts of surfaces that have changed; the others go with the meshes."""
+        with self._context.stages.stage("build"):
+            self._charts.follow()
+        self._rest.follow(self._charts.others)
+
+    def forget(self) -> None:
+        """Charts, and what the meshes go through, are to be made again."""
+        self._charts.forget()
+        self._rest.forget()
+
+    def aim(self, lights: Sequence[LightFrame]) -> None:
+        """Records of the meshes, and the sweep of a sun."""
+        self._rest.aim(lights)
+        context, charts, sweeps = self._context, self._charts, self._sweeps
+        with context.stages.stage("setup"):
+            sweeps.make(charts, lights[0], context.samples.count, context.records.front_face_culling)
+            charts.structure.sweep, charts.structure.bounds = sweeps.sweep, sweeps.bounds
+
+    def show(self, rays: Rays, query: Query) -> None:
+        """Send the rays of the light through the meshes, and those that are left down the charts."""
+        context, samples, asked = self._context, self._context.samples, InPlace()
+        self._rest.show(rays, query)
+        if not self._charts.placed:
+            return
+        asked.light, asked.cull = rays.light.light, int(context.records.front_face_culling)
+        asked.triangle_count = context.scene.triangle_count
+        asked.positions, asked.rays, asked.states = samples.positions, samples.rays, samples.states_of(rays.first)
+        asked.vertices, asked.triangles = context.scene.vertices, context.scene.triangles
+        asked.counters = samples.counters
+        with context.stages.stage("trace"):
+            self.walk.launch(IN_PLACE, samples.count, self._charts.structure, asked, samples.device)
+
+    def silent(self, light: LightFrame) -> tuple[int, int]:
+        """Of the meshes, as their records say, and of the charts."""
+        rest = self._rest.silent(light)
+        ours = self._silent.count(self._charts, light, self._context.records.front_face_culling)
+        return rest[0] + ours[0], rest[1] + ours[1]
+
+    def learn(self, counters: dict[str, int]) -> None:
+        """Nothing: what the meshes' own tree tests is not told from what charts do."""
+
+    def nbytes(self) -> int:
+        """Bytes on the device, those that all shares have in common aside."""
+        return self._rest.nbytes()

@@ -1,0 +1,48 @@
+// constants: CHART_STEPS CHART_ROUNDED
+// Nodes over four by four boxes: the least and the largest height of each; see charts.py.
+struct Nodes {
+    enum { SIDE = 4, NONE = 0xFFFF }; // nothing lies between 65535 and 0
+
+    static inline wp::uint32 pack(float low, float high) {
+        if (!(low <= high))
+            return NONE;
+        const float down = floorf(low - (float)CHART_ROUNDED), up = ceilf(high + (float)CHART_ROUNDED);
+        const float most = (float)CHART_STEPS;
+        const wp::uint32 least = down < 0.0f ? 0 : (wp::uint32)down, last = (wp::uint32)(up > most ? most : up);
+        return least | last << 16;
+    }
+    // first, rows, columns: of the heights; row, column: of the node, whose number is `node`.
+    static inline void of_quads(int first, int rows, int columns, int row, int column, int node,
+                                const wp::array_t<float>& heights, const wp::array_t<wp::uint32>& nodes) {
+        const float* from = heights.data + first;
+        for (int k = 0; k < SIDE * SIDE; ++k) {
+            const int r = SIDE * row + k / SIDE, c = SIDE * column + k % SIDE;
+            float low = (float)HUGE_VAL, high = -low;
+            if (r + 1 < rows && c + 1 < columns)
+                for (int j = 0; j < 4; ++j) {
+                    // NaN compares false: what is not valid moves nothing.
+                    const float h = from[(size_t)(r + j / 2) * columns + c + j % 2];
+                    low = h < low ? h : low;
+                    high = h > high ? h : high;
+                }
+            nodes.data[16 * (size_t)node + k] = pack(low, high);
+        }
+    }
+    // first, rows, columns: of the nodes of the level below.
+    static inline void of_nodes(int first, int rows, int columns, int row, int column, int node,
+                                const wp::array_t<wp::uint32>& nodes) {
+        for (int k = 0; k < SIDE * SIDE; ++k) {
+            const int r = SIDE * row + k / SIDE, c = SIDE * column + k % SIDE;
+            wp::uint32 low = NONE, high = 0;
+            if (r < rows && c < columns) {
+                const wp::uint32* from = nodes.data + 16 * ((size_t)first + (size_t)r * columns + c);
+                for (int j = 0; j < SIDE * SIDE; ++j) {
+                    const wp::uint32 least = from[j] & 0xFFFF, most = from[j] >> 16;
+                    low = least < low ? least : low;
+                    high = most > high ? most : high;
+                }
+            }
+            nodes.data[16 * (size_t)node + k] = low | high << 16;
+        }
+    }
+};

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sun over a whole terrain: bounds on the heights that hide it, carried along its way, decide most rays within a
+cell or two (after the sweeps over terrain of Dozier and Frew 1990 and of Timonen and Westerholm 2010, who interpolate;
+here nothing is said that is not certain, and what is not certain is left to the exact walk).
+
+In a parallel chart a ray to the sun goes straight. Let *lines* be the columns, or the rows if the ray crosses more of
+these, numbered along its way: from line to line it drifts by ``drift`` places, at most one either way, and rises by
+``rise`` steps. With x the way along and v the place, v - drift x and h - rise x (its *level*) stay what they are. A
+*band* b holds the rays with v - drift x from b to b + 1. From the last line to the first, for the rays of each band
+that cross a line within the surface, three bounds are kept:
+
+- *hides*: no point of the surface on this line or beyond it has a level above it. It is the largest level of all
+  corners of quads that the band touches: each point of a quad lies between three of its corners, and level is linear.
+- *above*: each of these rays has a point, on this line or beyond, where the surface's level is at least this, and all
+  quads from here to there are whole. It is the largest of the least levels on a line, as long as strips are whole.
+- *below*: each has a point where the surface's level is at most this, in the same way.
+
+A ray (``profile.h``) goes from strip to strip between lines, and compares its height with the surface's wherever it
+comes to a line, a row between two quads, or a diagonal: between these the surface is flat, so that what holds at both
+ends holds between them. It is *clear* as long as it has been above the surface by more than ``_PAD`` everywhere. What
+is said:
+
+1. *Lit*, if it is clear up to a line and its level is above *hides* there; or clear until it leaves the surface. None
+   of it meets the surface: not before the line, as it is clear, and not after.
+2. *Hidden*, if it is certainly above the surface at one of those places, and certainly below it at a later one, or the
+   other way round, with whole quads between: within a strip, or by *above* or *below*. Then it meets the surface in
+   between: take the last point where it is not yet on the other side, and the triangle that it is over right after it.
+   Over that triangle the difference of heights is linear along the ray, zero at the point and not zero after it: so the
+   sun is not in the triangle's plane, the sample is strictly on the other side of it, at the same distance along a
+   linear function, and the point is in the closed triangle. That is what the exact decision asks (``decision.py``).
+3. Everything else goes to the exact walk: so does a ray that begins beside the surface, that comes closer to it than
+   ``_PAD``, meets a position that is not valid, or has not been decided after ``_STEPS`` strips.
+
+With a bias the ray begins at the sample all the same: a clear one is lit whatever the bias is. The first place where it
+is said to be above or below is at or behind the biased start, so the point in between is behind that. The exact
+decision compares ``abs(A) m`` and ``bias abs(D)``, which float64 gives within 8 * 2^-53 of their permanents, if they
+are more than 1e-15 of these, and exactly otherwise: so either is within 0.53 to 9.1 of what it is. Where *above* or
+*below* decide, nothing is known of the triangle, which may be nearly in the ray's way, so this is only believed from 32
+(``_BIASES``) biases on. Within a strip the difference goes from above ``_PAD`` to below ``-_PAD`` on one triangle: then
+A and D are off, as heights, by 2^-50 of lengths, and the point is at least ``_PAD`` behind the bias.
+
+A sample that is a position of the surface, to the last bit, touches the triangles around it at their common corner, and
+these never hide it: it is in their planes, which the exact decision finds (A = 0). Such a ray begins at the position,
+and what is compared first is where it leaves these triangles: at the next line, or at a diagonal that does not come
+from there. In whatever direction, that is the first place that is looked at.
+
+*What is rounded.* Steps, places and lines are computed in float64, each within 6 * 2^-53 times its unit and the weight
+of the ray's terms (``height_field.py``). Where weight times rows and columns is above 2^22 (``_WEIGHT``) nothing is
+said; else places are within 2^-28 and heights within 2^-12 steps. Positions lie within 2^-27 (``BESIDE``) of their
+places, else nothing is said, and values so near to a whole number are taken for it. The surface has slopes of at most
+2^16 steps a place, in two directions, so 2^-27 + 2^-28 beside moves a height by less than 2^-9.4, twice for positions
+and rays; float32 heights are off by 2^-9; the ray's rise, at most 2^16 steps a line (``_STEEPEST``), makes 2^-10.4 of
+what is beside. Altogether it is less than 2^-7 steps, half of ``_PAD``.
+
+A place that is passed by closer than 2^-27 may be passed on its other side. The surface is continuous there, and what
+heights differ by is counted above; but there may be no quads. So quads are called whole only if all are that come
+nearer to the ray, or to the band, than 2^-20. For the same reason a ray that leaves the surface across its border is
+lit only if it drifts away from it by half a place each line: then it has left 2^-25.4 lines later, where it is lower
+by less than 2^-7, surface and rise taken together, than where it was compared.
+
+Levels in the bounds are float32: heights and rises of up to 2^16 + abs(rise) * lines, rounded twice, by less than 2^-23
+of that; ``pad`` is 2^-22 of it. The other half holds what heights are off, 2^-8, and abs(rise) * 2^-26.4 of what is
+beside.
+
+The sweep reads each height a few times and writes three numbers a cell; a ray then reads a few heights and one or two
+of the numbers. It is done for the largest terrain of a scene, for suns, where there are at least an eighth as many
+samples as quads, and not where front faces are culled, as surfaces are open then, or where the light ignores a mesh.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Sweep
+from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.exact.light_frame import LightFrame
+from shadow_tracer.gpu.occluders.world import SceneBuffers
+from shadow_tracer.scene.bounds import Bounds
+from shadow_tracer.scene.chart import STEPS
+
+_LANES = wp.constant(16)
+_PAD = 2.0**-6  # steps
+_WEIGHT = 2.0**22
+_STEEPEST = 2.0**16  # steps a line
+_STEPS = 64  # strips
+_SHARE = 8  # quads to a sample
+_BIASES = 32.0
+native.constants(SWEEP_BIASES=_BIASES, SWEEP_WEIGHT=_WEIGHT, SWEEP_PAD=_PAD, SWEEP_STEPS=_STEPS, SWEEP_BESIDE=BESIDE)
+
+
+@native.func_native("accelerators/height_field/sweep.h", calls="Sweeper1::bands")
+def sweep_band(sweep: Sweep, band: int, heights: wp.array(dtype=float), bounds: wp.array(dtype=float)):
+    """The bounds of a band."""
+    ...
+
+
+@native.func_native("accelerators/height_field/sweep.h@16", calls="Sweeper16::bands")
+def sweep_sixteen(sweep: Sweep, band: int, heights: wp.array(dtype=float), bounds: wp.array(dtype=float)):
+    """The bounds of sixteen bands."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def sweep_bands(sweep: Sweep, first: int, heights: wp.array(dtype=float), bounds: wp.array(dtype=float)):
+    sweep_band(sweep, first + wp.tid(), heights, bounds)
+
+
+@wp.kernel(enable_backward=False)
+def sweep_band_blocks(sweep: Sweep, first: int, heights: wp.array(dtype=float), bounds: wp.array(dtype=float)):
+    sweep_sixteen(sweep, first + _LANES * wp.tid(), heights, bounds)
+
+
+class Sweeps:
+    """Owns the bounds, and makes them for a sun."""
+
+    def __init__(self, bounds: Bounds, scene: SceneBuffers) -> None:
+        self._scene = scene
+        quads = bounds.max_triangles // 2
+        self.bounds = wp.empty(3 * (quads + quads // 4 + 4096), dtype=float, device=scene.device)
+        self.sweep = Sweep()
+        self.sweep.number = -1
+        self._made_for: tuple[object, ...] | None = None
+
+    def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool) -> None:
+        """Sweep the largest chart of terrain, if that is worth it."""
+        self.sweep = Sweep()
+        self.sweep.number = -1
+        homogeneous = np.array(light.light)
+        placed = [each for each in charts.placed if each.chart.parallel]
+        if cull or homogeneous[3] != 0.0 or not placed or self._scene.left_out:
+            return
+        largest = max(placed, key=lambda each: len(each.mesh.triangles))
+        if samples * _SHARE < len(largest.mesh.triangles) // 2:
+            return
+        number = charts.placed.index(largest)
+        sweep = _sweep(number, charts.on_device[number], homogeneous[:3])
+        if sweep is None or 3 * sweep.lines * sweep.pitch > len(self.bounds):
+            return
+        drift = sweep.drift * (sweep.lines - 1)
+        first, last = math.floor(min(-drift, 0.0)) - 1, math.floor(max(-drift, 0.0)) + sweep.across + 1
+        inputs = [sweep, first, charts.structure.heights, self.bounds]
+        count = last - first + 1
+        if forms.wide(self._scene.device):
+            wp.launch(sweep_band_blocks, dim=-(-count // int(_LANES)), inputs=inputs, device=self._scene.device)
+        else:
+            wp.launch(sweep_bands, dim=count, inputs=inputs, device=self._scene.device)
+        self.sweep = sweep
+
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return int(self.bounds.capacity)
+
+
+def _sweep(number: int, chart: DeviceChart, towards: np.ndarray) -> Sweep | None:
+    """How the sun goes over a chart; None if it goes too steeply."""
+    way = [float(np.dot(np.array(row)[:3], towards)) for row in (chart.s, chart.t, chart.h)]
+    by_rows = abs(way[1]) > abs(way[0])
+    along, over = (way[1], way[0]) if by_rows else (way[0], way[1])
+    if not abs(way[2]) <= _STEEPEST * abs(along) or along == 0.0:
+        return None
+    sweep = Sweep()
+    sweep.number = number
+    rows, columns = chart.rows, chart.columns
+    sweep.lines, sweep.across = (rows, columns) if by_rows else (columns, rows)
+    sweep.pitch = (sweep.across // 32 * 2 + 3) * 16
+    sweep.next_line, sweep.next = (columns, 1) if by_rows else (1, columns)
+    sweep.base = chart.first_height
+    sweep.by_rows, sweep.mirrored = int(by_rows), int(along < 0.0)
+    if along < 0.0:
+        sweep.base += (sweep.lines - 1) * sweep.next_line
+        sweep.next_line = -sweep.next_line
+    sweep.drift, sweep.rise = over / abs(along), way[2] / abs(along)
+    sweep.per_metre = abs(along) / float(np.linalg.norm(towards))
+    sweep.pad = (STEPS + abs(sweep.rise) * sweep.lines) * 2.0**-22
+    return sweep

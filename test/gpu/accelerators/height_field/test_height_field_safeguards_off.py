@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What keeps height fields and their sweep exact, taken out piece by piece: their tests must see it, in both forms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from mutants import Change, failing_tests
+
+_ROOM = "accelerators/height_field/"
+_RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sweep.h"
+_NODES, _CHARTS, _WALKS = _ROOM + "nodes.h", _ROOM + "charts.py", (_ROOM + "walk16.h", _ROOM + "walk.h")
+_FIELD, _SWEPT = "test_height_field.py", "test_sweep.py"
+
+
+def _in_walks(there: str, instead: str) -> list[Change]:
+    return [(walk, there, instead) for walk in _WALKS]
+
+
+_MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
+    "boxes without padding": (
+        _FIELD,
+        "corners_of_boxes or rows_columns or plane",
+        [
+            (_RAY, "above[k] = (float)first[k] + pads[k]", "above[k] = (float)first[k]"),
+            (_RAY, "below[k] = (float)first[k] - pads[k]", "below[k] = (float)first[k]"),
+            (_NODES, "floorf(low - (float)CHART_ROUNDED)", "ceilf(low)"),
+            (_NODES, "ceilf(high + (float)CHART_ROUNDED)", "floorf(high)"),
+        ],
+    ),
+    "positions are in their places": (
+        _FIELD,
+        "beside_their_places",
+        [
+            (_RAY, "2.0 * CHART_PADDING * along + beside", "2.0 * CHART_PADDING * along"),
+            (
+                _RAY,
+                "const float pads[3] = { (float)((CHART_PADDING * along + beside) * 1.0001),",
+                "const float pads[3] = { (float)(CHART_PADDING * along),",
+            ),
+            (_RAY, "(float)((CHART_PADDING * along + beside) * 1.0001),\n", "(float)(CHART_PADDING * along),\n"),
+        ][:2],
+    ),
+    "samples of any distance": (
+        _FIELD,
+        "far_away or lost",
+        [(_RAY, "!(beside < 1.0e29) || !(weight <= 0x1p20)", "false")],
+    ),
+    "rays end before the light": (_FIELD, "terrain", [(_RAY, "bounded ? 1.0 : HUGE_VAL", "bounded ? 0.5 : 1.0")]),
+    "behind the optical centre as well": (
+        _FIELD,
+        "depth_images",
+        [(_RAY, "clip(at.d - chart.nearest * (1.0 - CHART_PADDING), way.d, from, to);", "")],
+    ),
+    "one triangle of a quad": (
+        _FIELD,
+        "sizes",
+        [(_RAY, "query.visit(first) || query.visit(first + 1)", "query.visit(first)")],
+    ),
+    "children of the last node alone": (
+        _FIELD,
+        "sizes or terrain",
+        [(_NODES, "r < rows && c < columns", "r + 1 < rows && c < columns")],
+    ),
+    "charts of surfaces as they were": (
+        _FIELD,
+        "sequences",
+        [(_CHARTS, "if each.key not in before:", "if number >= len(before):")],
+    ),
+    "meshes aside are not looked at": (
+        _FIELD,
+        "beside_terrain",
+        [(_ROOM + "height_field.py", "self._rest.follow(self._charts.others)", "self._rest.follow([])")],
+    ),
+    "pairs of meshes named as those of the scene": (
+        _FIELD,
+        "beside_terrain and cuda_form",
+        [
+            (
+                "accelerators/union.py",
+                "if self._waiting is not None:\n            context",
+                "if False:\n            context",
+            )
+        ],
+    ),
+    "lit above the highest corner but for the next line": (
+        _SWEPT,
+        "suns or every_way",
+        [(_SWEEP, "hides = larger(z - risen, larger(beyond - risen_next, hides));", "")],
+    ),
+    "a strip is whole where quads are missing": (
+        _SWEPT,
+        "hole or suns",
+        [
+            (_SWEEP, "above = strip ? above : -infinity;", ""),
+            (_SWEEP, "below = strip ? below : infinity;", ""),
+        ],
+    ),
+    "nothing before the line matters": (
+        _SWEPT,
+        "suns or biases",
+        [(_PROFILE, "clear && level > here[0] + sweep.pad", "level > here[0] + sweep.pad")],
+    ),
+    "no diagonals": (_SWEPT, "suns or every_way", [(_PROFILE, "one * two < 0.0", "false")]),
+    "diagonals as if nothing were mirrored": (
+        _SWEPT,
+        "suns or every_way",
+        [
+            (
+                _PROFILE,
+                "const double one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1, two = sweep.mirrored",
+                "const double one = V1 - X1, two = false",
+            )
+        ],
+    ),
+    "nothing is too near to call": (_SWEPT, "stairs or suns", [(_ROOM + "sweep.py", "_PAD = 2.0**-6", "_PAD = 0.0")]),
+    "below is as good as above": (
+        _SWEPT,
+        "suns",
+        [(_PROFILE, "side > 0 && level < here[plane] - sweep.pad", "level < here[plane] - sweep.pad")],
+    ),
+    "every sample at a corner is the corner": (
+        _SWEPT,
+        "suns",
+        [(_PROFILE, "corner = p[0] == sample[0] && p[1] == sample[1] && p[2] == sample[2];", "corner = p[0] == p[0];")],
+    ),
+    "the bias does not matter": (
+        _SWEPT,
+        "biases",
+        [
+            (_PROFILE, "from = bias > 0.0 ? x + bias + 0x1p-20 : x;", "from = x;"),
+            (_PROFILE, "if (line < beyond)", "if (false)"),
+        ],
+    ),
+    "what leaves along the border is gone": (
+        _SWEPT,
+        "suns or stairs",
+        [(_PROFILE, "clear && fabs(sweep.drift) >= 0.5 ? LIT", "true ? LIT")],
+    ),
+    "swept with positions out of place": (
+        _SWEPT,
+        "out_of_place",
+        [(_PROFILE, "!(beside <= SWEEP_BESIDE)", "false")],
+    ),
+    "front faces may be culled": (
+        _SWEPT,
+        "nothing_is_swept",
+        [(_ROOM + "sweep.py", "if cull or homogeneous", "if homogeneous")],
+    ),
+}
+
+
+@pytest.mark.wide
+@pytest.mark.slow
+@pytest.mark.parametrize("mutant", _MUTANTS)
+def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels: Path) -> None:
+    tests, some, changes = _MUTANTS[mutant]
+    failed = failing_tests(changes, f"accelerators/height_field/{tests}", some, tmp_path, kernels)
+    in_cuda_form = ["cuda_form" in line for line in failed]
+    assert any(in_cuda_form), f"the form of CUDA does not see it: {failed}"
+    assert "cuda_form" in some or not all(in_cuda_form), f"the wide form does not see it: {failed}"

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sun's sweep over terrain: every answer is brute_force's, whatever the sun, the samples and the holes; and it is
+the sweep that gives most of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import data
+import numpy as np
+import probe
+import pytest
+import surfaces
+from surfaces import agree, sun
+
+from shadow_tracer import DirectionalLight, HeightField
+
+pytestmark = probe.in_both_forms
+
+_AZIMUTHS = (0.0, 45.0, 90.0, 117.0, 180.0, 200.0, 225.0, 270.0, 301.0, 315.0)
+
+
+def _samples(rng: np.random.Generator, field: HeightField) -> np.ndarray:
+    """Positions to the last bit, above and below them, next to the surface, anywhere, and beside it."""
+    positions = field.positions()[field.valid]
+    rows, columns = field.shape
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    anywhere = rng.uniform(low - 1.0, high + 1.0, (400, 3))
+    moved = [positions + (0, 0, up) for up in (0.1, 2.0, -0.1, 1e-4, -1e-4)]
+    halfway = 0.5 * (positions[1:] + positions[:-1])
+    near = positions + 1e-3 * rng.uniform(-1, 1, positions.shape)
+    return np.concatenate([positions, *moved, halfway, near, anywhere])
+
+
+def _ground(scene: Any, field: HeightField) -> None:
+    scene.put_surface("ground", field)
+
+
+def _is_swept(tracer: Any) -> bool:
+    return probe.charts(tracer)[1] >= 0
+
+
+@pytest.mark.parametrize("elevation", [-5.0, 0.0, 0.1, 2.0, 10.0, 45.0, 80.0])
+@pytest.mark.parametrize("holes", [False, True])
+def test_suns(any_device: str, elevation: float, holes: bool) -> None:
+    rng = np.random.default_rng(1)
+    z = surfaces.terrain(rng, 24, 31)
+    if holes:
+        z[8:11, 12:20], z[20, 4], z[0, 7], z[23, 30] = np.nan, np.nan, np.nan, np.nan
+    field = HeightField(z, (1.0, 1.25))
+    points = _samples(rng, field)
+    suns = [sun(elevation, azimuth) for azimuth in _AZIMUTHS]
+    states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, suns)
+    assert _is_swept(tracer) and (elevation > 40 or 0.2 < (states == 1).mean() < 0.95)
+
+
+@pytest.mark.parametrize("bias", [1e-6, 0.01, 0.7, 5.0])
+def test_biases(any_device: str, bias: float) -> None:
+    rng = np.random.default_rng(2)
+    field = HeightField(surfaces.terrain(rng, 24, 24), 1.0, origin=(5e5, 5e6, 200.0))
+    suns = [sun(elevation, azimuth) for elevation in (0.5, 8.0, 40.0) for azimuth in (30.0, 160.0, 270.0)]
+    states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), _samples(rng, field), suns, bias)
+    assert _is_swept(tracer) and (states == 1).any()
+
+
+@pytest.mark.parametrize("axes", [((0, -1), (1, 0)), ((-1, 0), (0, -1)), ((0, 1), (1, 0)), ((0.6, 0.8), (0.8, -0.6))])
+def test_every_way_that_rows_and_columns_go(any_device: str, axes: Any) -> None:
+    rng = np.random.default_rng(3)
+    z = surfaces.terrain(rng, 20, 26)
+    z[5, 5] = np.nan
+    field = HeightField(z, (0.9, 1.1), axes=axes)
+    suns = [sun(4.0, azimuth) for azimuth in np.arange(0.0, 360.0, 24.0)]
+    _, _, tracer = agree(any_device, lambda scene: _ground(scene, field), _samples(rng, field), suns)
+    assert _is_swept(tracer)
+
+
+def test_stairs_that_rays_touch(any_device: str) -> None:
+    """Whole heights and suns of whole slopes: rays pass through positions, and along rows, columns, diagonals and
+    triangles, everywhere."""
+    rng = np.random.default_rng(4)
+    field = HeightField(rng.integers(0, 5, (20, 20)).astype(float), 1.0)
+    ways = [(x, y, z) for x, y in ((1, 0), (0, 1), (1, 1), (-1, 1), (2, 1), (-1, -2)) for z in (0, 1, -1)]
+    points = np.concatenate([field.positions().reshape(-1, 3) + (0, 0, k) for k in (0, 1, 2)])
+    lights = [DirectionalLight(f"sun {k}", way) for k, way in enumerate(ways)]
+    for some in (lights[:9], lights[9:]):
+        states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, some)
+        assert _is_swept(tracer) and 0.2 < (states == 1).mean() < 0.9
+
+
+def test_a_hole_lets_the_sun_through(any_device: str) -> None:
+    """A wall with a gap, and a wall whose foot is missing: rays below the surface's heights that meet no triangle."""
+    z = np.zeros((30, 30))
+    z[:, 15] = 10.0
+    z[12:18, 14:17] = np.nan
+    z[22, 14] = np.nan
+    field = HeightField(z, 1.0)
+    points = field.positions()[field.valid] + (0.0, 0.0, 0.5)
+    suns = [sun(elevation, azimuth) for elevation in (0.3, 5.0) for azimuth in (90.0, 270.0, 80.0, 285.0, 45.0)]
+    states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, suns)
+    seen = states[0].reshape(-1)[(points[:, 0] == 3.0) & (points[:, 1] > -21.0) & (points[:, 1] < -9.0)]
+    assert _is_swept(tracer) and (seen == 0).any() and (seen == 1).any()
+
+
+def test_it_decides_nearly_all(any_device: str) -> None:
+    """Of a hundred rays a few are left to the exact walk; alone they are all; the answers are the same."""
+    rng = np.random.default_rng(5)
+    field = HeightField(surfaces.terrain(rng, 64, 64), 1.0)
+    points = field.positions().reshape(-1, 3) + (0.0, 0.0, 0.2)
+    tracer = surfaces.tracer(any_device, "height_field")
+    _ground(tracer.scene, field)
+    for elevation in (2.0, 10.0, 45.0):
+        light = sun(elevation, 123.0)
+        together = probe.trace_points(tracer, points, [light])
+        assert _is_swept(tracer) and together.counters["leaf_tests"] < 0.1 * len(points)
+        some = slice(None, None, 16)
+        alone = probe.trace_points(tracer, points[some], [light])
+        assert not _is_swept(tracer) and alone.counters["leaf_tests"] > 0.3 * len(points[some])
+        assert np.array_equal(together.states[0].reshape(-1)[some], alone.states[0].reshape(-1))
+
+
+def test_when_nothing_is_swept(any_device: str) -> None:
+    rng = np.random.default_rng(6)
+    field = HeightField(surfaces.terrain(rng, 20, 20), 1.0)
+    points = field.positions().reshape(-1, 3)
+    for light, cull in ((sun(90.0, 0.0), False), (sun(10.0, 50.0), True)):
+        _, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, [light], 0.0, cull)
+        assert not _is_swept(tracer)
+
+
+def test_positions_out_of_place_are_not_swept(any_device: str) -> None:
+    rng = np.random.default_rng(7)
+    positions = HeightField(surfaces.terrain(rng, 24, 24), 1.0).positions()
+    positions[..., :2] += rng.uniform(-0.02, 0.02, (24, 24, 2))
+    points = np.concatenate([positions.reshape(-1, 3) + (0, 0, up) for up in (0.0, 0.01, 0.3)])
+    suns = [sun(elevation, azimuth) for elevation in (1.0, 12.0) for azimuth in (0.0, 100.0, 250.0)]
+    _, counters, _ = agree(any_device, lambda scene: scene.put_surface("ground", positions), points, suns)
+    assert counters["leaf_tests"] > len(points)
+
+
+def test_meshes_and_a_second_terrain_in_the_sun(any_device: str) -> None:
+    rng = np.random.default_rng(8)
+    ground = HeightField(surfaces.terrain(rng, 30, 30), 1.0)
+    hill = HeightField(3.0 + surfaces.terrain(rng, 12, 12), 1.0, origin=(12.0, -10.0, 0.0))
+    rock = np.array([(5.0, -5.0, 4.0), (9.0, -5.0, 4.0), (7.0, -9.0, 5.0)])
+
+    def setup(scene: Any) -> None:
+        scene.put_surface("hill", hill)
+        scene.put_surface("ground", ground)
+        scene.put("rock", rock, [(0, 1, 2)])
+
+    points = np.concatenate([ground.positions().reshape(-1, 3) + (0, 0, up) for up in (0.0, 0.2)])
+    suns = [sun(elevation, azimuth) for elevation in (5.0, 30.0, 70.0) for azimuth in (10.0, 130.0, 220.0)]
+    _, _, tracer = agree(any_device, setup, points, suns)
+    assert _is_swept(tracer) and sorted(probe.charts(tracer)[0]) == ["ground", "hill"]
+
+
+def test_suns_that_ignore_terrain_or_meshes(any_device: str) -> None:
+    """What one light ignores casts for the next one: terrain that is swept, terrain that is not, and a mesh."""
+    rng = np.random.default_rng(9)
+    ground = HeightField(surfaces.terrain(rng, 30, 30), 1.0)
+    hill = HeightField(3.0 + surfaces.terrain(rng, 12, 12), 1.0, origin=(12.0, -10.0, 0.0))
+    rock = np.array([(5.0, -5.0, 4.0), (9.0, -5.0, 4.0), (7.0, -9.0, 5.0)])
+
+    def setup(scene: Any) -> None:
+        scene.put_surface("ground", ground)
+        scene.put_surface("hill", hill)
+        scene.put("rock", rock, [(0, 1, 2)])
+
+    points = np.concatenate([ground.positions().reshape(-1, 3) + (0, 0, up) for up in (0.0, 0.2)])
+    ignored: list[list[str]] = [[], ["ground"], ["hill"], ["rock"], ["ground", "hill", "rock"], ["nobody"]]
+    suns = [DirectionalLight(str(k), sun(15.0, 130.0).direction, ignore=names) for k, names in enumerate(ignored)]
+    states, _, tracer = agree(any_device, setup, points, suns)
+    hidden = (states == 1).reshape(len(suns), -1).sum(axis=1)
+    assert hidden[0] == hidden[5] > hidden[1:4].max() and hidden[1:4].min() > hidden[4] == 0
+    states, _, _ = agree(any_device, setup, points, suns[::-1], ours=tracer)
+    assert ((states == 1).reshape(len(suns), -1).sum(axis=1) == hidden[::-1]).all()
+
+
+@pytest.mark.parametrize("name", ["dem_squared", "dem_moon"])
+def test_recorded_terrain(any_device: str, name: str) -> None:
+    images = pytest.importorskip("PIL.Image", reason="real data: Pillow is needed to read the elevations")
+    with images.open(data.file(f"dem/{name}.tif")) as image:
+        z = np.asarray(image, dtype=np.float64)[:49, :49]
+    field = HeightField(z, (30.8, 24.4) if name == "dem_squared" else 2.42661, origin=(555_000.0, 4_200_000.0, 0.0))
+    positions = field.positions().reshape(-1, 3)
+    points = np.concatenate([positions, positions + (0, 0, 2.0)])
+    suns = [sun(elevation, azimuth) for elevation in (0.1, 2.0, 10.0) for azimuth in (95.0, 200.0)]
+    states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, suns)
+    assert _is_swept(tracer) and (states == 1).any()
