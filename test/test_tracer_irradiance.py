@@ -156,6 +156,18 @@ def test_normals_are_the_meshs_where_it_is_seen(tracer: ShadowTracer) -> None:
     assert math.isnan(frame.irradiance("a point")[2, 20])
 
 
+def test_normals_look_at_the_camera_however_corners_go_around(reference: ShadowTracer) -> None:
+    corners, triangles = geometry.square(2, 0.0, 3.0)
+    found = []
+    for winding in (triangles, triangles[:, ::-1]):
+        reference.scene.put("floor", corners, winding)
+        depth, _ = render_depth(reference.scene, CAMERA, reference.device)
+        frame = reference.trace(depth, CAMERA, [POINT])
+        assert (frame.normal_source()[10:] == NormalSource.MESH).all()
+        found.append(frame.irradiance("a point"))
+    assert np.array_equal(*found, equal_nan=True) and (found[0] > 0.0).sum() > 500
+
+
 def test_uint16_millimetres(reference: ShadowTracer) -> None:
     put_room(reference)
     depth, _ = render_depth(reference.scene, CAMERA, reference.device)

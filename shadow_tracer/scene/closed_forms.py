@@ -76,7 +76,6 @@ def disc(centre: FloatArray, normal: FloatArray, radius: float, points: FloatArr
     total = scale * (upright + 2.0 * np.abs(height) * dot(normals, radial))
     middle = dot(v, normals)
     reach = radius * np.sqrt(np.maximum(0.0, 1.0 - dot(normals, normal) ** 2))
-    total[middle <= -reach] = 0.0
     cut = np.flatnonzero(np.abs(middle) < reach)
     if len(cut):
         _, x, y = across(*normal.tolist())
@@ -84,7 +83,7 @@ def disc(centre: FloatArray, normal: FloatArray, radius: float, points: FloatArr
         corner = radius * math.sqrt(2.0 * math.pi / (_DISC_CORNERS * math.sin(2.0 * math.pi / _DISC_CORNERS)))
         rim = centre + corner * (np.cos(turn) * x + np.sin(turn) * y)
         total[cut] = polygon(rim, points[:, cut], normals[:, cut])
-    return np.maximum(total, 0.0)
+    return np.maximum(total, 0.0)  # negative where all of it is below
 
 
 class Line:

@@ -236,6 +236,28 @@ def test_unknown_normals() -> None:
         unit_normals(np.zeros((2, 3)), (3,))
 
 
+@pytest.mark.parametrize("light", EVERY, ids=lambda light: f"{light.name}-{light.strength.model}")
+def test_no_law_takes_an_unknown_normal_for_a_dark_surface(light: Any) -> None:
+    """Whether some of its points reach, or all."""
+    points = np.tile([0.1, 0.2, -1.0], (3, 1))
+    facing = unit_normals(np.full((3, 3), np.nan), (3,))
+    bits = np.array([1, lamps.ALL, 2 ** getattr(light, "samples", 1) - 1], np.uint64)
+    assert np.isnan(irradiance_of(light, points, facing, bits)).all()
+
+
+def test_a_disc_behind_the_surface_gives_nothing() -> None:
+    for normal in ((0.0, 0.0, -1.0), (0.6, 0.0, -0.8), (0.999, 0.0, -0.04)):
+        assert at(DISC, (0.8, 0.2, -1.0), normal) == 0.0
+
+
+def test_points_of_a_wide_sun_span_what_they_are_seen_to() -> None:
+    """Of a disc of even radiance the share within a smaller angle goes with the square of its sine."""
+    wide = SunDisc("sun", (0.0, 0.0, -1.0), math.radians(80.0), strength=Strength(irradiance=1.0))
+    inner = math.atan(math.tan(math.radians(40.0)) * math.sqrt(0.5))  # the first half of the points, by area
+    share = at(wide, (0, 0, 0), (0, 0, 1), 2**32 - 1)
+    assert share == pytest.approx((math.sin(inner) / math.sin(math.radians(40.0))) ** 2, rel=0.02)
+
+
 def test_polygons_seen_edge_on_and_from_below_give_nothing() -> None:
     corners = np.array([(1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0.0)])
     points = np.array([[3.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]).T
