@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,17 @@ import geometry
 import numpy as np
 import pytest
 
-from shadow_tracer import DoseMap, PointLight, RectangleLight, Scene, ShadowTracer, Strength, TubeLight
+from shadow_tracer import (
+    DoseMap,
+    IntensityTable,
+    PointLight,
+    RectangleLight,
+    Scene,
+    ShadowTracer,
+    Strength,
+    TubeLight,
+    plan_positions,
+)
 from shadow_tracer.scene.dose_colors import NEVER, REACHED, colors_of, viridis
 from shadow_tracer.scene.texels import cut
 
@@ -366,3 +377,26 @@ def test_a_picture_shows_the_three_colours(reference: ShadowTracer, tmp_path: Pa
         assert (pixels == color).all(axis=-1).sum() > 500
     with pytest.raises(ValueError, match="target: expected a positive dose"):
         made.picture(tmp_path / "dose.png", target=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("module", "use"),
+    [
+        ("trimesh", lambda made, path: made.write_mesh(path / "dose.ply")),
+        ("matplotlib", lambda made, path: made.picture(path / "dose.png")),
+        ("scipy", lambda made, path: plan_positions(made, [[POINT]], 1e-3, method="highs")),
+        ("photompy", lambda made, path: IntensityTable.from_ies(path / "lamp.ies", "W/sr")),
+    ],
+    ids=["trimesh", "matplotlib", "scipy", "photompy"],
+)
+def test_what_is_not_installed_is_named(
+    reference: ShadowTracer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, module: str, use: Any
+) -> None:
+    put_scene(reference)
+    made = DoseMap(reference, "table", 0.5)
+    for name in [name for name in sys.modules if name.partition(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    extra = "photometry" if module == "photompy" else "dose"
+    with pytest.raises(ImportError, match=rf"{module}: pip install 'shadow_tracer\[{extra}\]'"):
+        use(made, tmp_path)

@@ -203,6 +203,21 @@ def test_what_leaves_a_lamp_arrives_on_a_sphere_around_it(light: Any) -> None:
     assert found.mean() * 4.0 * math.pi * 1.5**2 == pytest.approx(power_of(light), rel=0.01)
 
 
+def test_a_table_is_taken_as_it_is_or_scaled() -> None:
+    table = IntensityTable((0.0, 1.0, 2.0), (0.0,), [[6.0, 3.0, 0.0]])
+    for strength, ahead in (
+        (Strength(model=table), 6.0),
+        (Strength(model=table, output=0.5), 3.0),
+        (Strength(intensity=2.0, model=table), 2.0),
+        (Strength(power=2.0 * table.power, model=table), 12.0),
+    ):
+        light = PointLight("t", (0.0, 0.0, 2.0), strength=strength)
+        assert at(light, (0, 0, 0), (0, 0, 1), 1) == pytest.approx(ahead / 4.0, rel=1e-12)
+        assert power_of(light) == pytest.approx(table.power * ahead / 6.0, rel=1e-12)
+    with pytest.raises(ValueError, match="light: expected one with a strength that is not infinitely far away"):
+        power_of(PointLight("dark", (0, 0, 0)))
+
+
 def test_quantities_of_one_lamp_agree() -> None:
     for light in (TUBE, RECTANGLE, DISC, SPHERE, replace(DISC, two_sided=True)):
         power = power_of(light)
