@@ -38,7 +38,8 @@ class Plan:
     """What to do.
 
     Attributes:
-        stops: numbers of the candidates to stand at, in the order in which they were chosen; ascending from HiGHS.
+        stops: numbers of the candidates to stand at: greedy's in the order in which they were chosen, of HiGHS
+            ascending.
         seconds: how long at each [s].
         coverage: share of the area, 0 to 1, that has the target after each of them.
         dose: (N,) dose of each texel at the end, what the map held before included [J/m2].
@@ -135,7 +136,8 @@ def plan_positions(
         coverage: share of the reachable area that shall have it, above 0 and at most 1.
         travel: what it costs to go to another place [s], 0 or more.
         method: "greedy" or "highs".
-        time_limit: how long HiGHS may look for something better [s], positive; it returns the best it has found.
+        time_limit: how long HiGHS may look for something better [s], positive; then the best plan there is counts,
+            which may be greedy's.
         matrix: what :func:`irradiance_matrix` returned for these candidates, if it is at hand; None: it is computed.
 
     Returns:
@@ -144,7 +146,6 @@ def plan_positions(
 
     Raises:
         ValueError: an argument is malformed; the message names it.
-        RuntimeError: HiGHS has found no plan within the time.
         ImportError: scipy is not installed; the message says how to install it.
     """
     wanted = check_dose(target, "target")
@@ -225,7 +226,8 @@ def _highs(
     if find_spec("scipy") is None:
         raise ImportError("method 'highs' needs scipy: pip install 'shadow_tracer[dose]'")
     dose = np.zeros(len(missing))
-    for stop, seconds in _greedy(rows, missing, area, goal, travel).items():
+    greedy = _greedy(rows, missing, area, goal, travel)
+    for stop, seconds in greedy.items():
         dose += rows[stop] * seconds
     order = np.flatnonzero((missing > 0.0) & (dose >= missing * (1.0 - _ROUNDING)))
     if not len(order):
@@ -235,19 +237,22 @@ def _highs(
     unit = float((missing[order] / best[order]).max())
     doses = (rows[:, order] / missing[order]).T * unit
     times = _solve(doses, travel / unit, limit)
+    if times is None:
+        return greedy
     if travel:  # what slips through the solver's tolerances, below places that are not chosen, is shared out
         some = np.flatnonzero(times > 0.0)
-        times[some] = _solve(doses[:, some], 0.0, limit)
+        shared = _solve(doses[:, some], 0.0, limit)
+        times[some] = times[some] if shared is None else shared
     times /= min(1.0, float((doses @ times).min()))
-    return {number: float(times[number] * unit) for number in range(len(rows)) if times[number] > 0.0}
+    found = {number: float(times[number] * unit) for number in range(len(rows)) if times[number] > 0.0}
+    costs = [sum(each.values()) + travel * len(each) for each in (greedy, found)]
+    return greedy if costs[0] <= costs[1] else found
 
 
-def _solve(doses: FloatArray, travel: float, limit: float) -> FloatArray:
+def _solve(doses: FloatArray, travel: float, limit: float) -> FloatArray | None:
     """(K,) times that make the least sum of times, and of travels to where time is spent, for (M, K) doses per time in
     units of what is missing. With travels, every sample gets its dose within one unit somewhere.
-
-    Raises:
-        RuntimeError: nothing was found within the limit [s].
+    None: nothing was found within the limit [s].
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csr_array, eye_array, hstack
@@ -269,7 +274,7 @@ def _solve(doses: FloatArray, travel: float, limit: float) -> FloatArray:
         costs, integrality=kinds, bounds=Bounds(0.0, most), constraints=constraints, options={"time_limit": limit}
     )
     if found.x is None:
-        raise RuntimeError(f"time_limit: HiGHS has found no plan within {limit:g} s: {found.message}")
+        return None
     times = np.maximum(found.x[:count], 0.0)
     if travel:
         gone = np.where(found.x[count:] > 0.5, times, 0.0)
