@@ -159,6 +159,19 @@ def test_texels_move_with_the_part(reference: ShadowTracer) -> None:
     assert turned.positions() == pytest.approx(resting.corners.mean(axis=1) @ pose[:3, :3].T + pose[:3, 3], abs=1.1e-3)
 
 
+def test_far_from_the_origin(reference: ShadowTracer) -> None:
+    """No texel hides itself for roundings a thousand kilometres away."""
+    put_scene(reference)
+    near = DoseMap(reference, "table", 0.2)
+    near.add([POINT], 1.0)
+    shift = np.array([1e6, -2e6, 3e5])
+    for name in ("table", "shelf", "robot"):
+        reference.scene.move(name, at(*shift.tolist()))
+    far = DoseMap(reference, "table", 0.2)
+    far.add([replace(POINT, position=POINT.position + shift)], 1.0)
+    assert np.isclose(far.dose, near.dose, rtol=1e-6).mean() > 0.98, "but for texels at edges of shadows"
+
+
 def test_both_sides_are_apart(reference: ShadowTracer) -> None:
     put_scene(reference)
     dose_map = DoseMap(reference, "table", 0.2, side="both")
