@@ -125,11 +125,13 @@ def tracers() -> Tracers:
 
 
 # Of each case of the general tests these get all, in both forms where ``_IN_CUDA_FORM`` says so. All others share most
-# of their code with one of them, or are there to be compared with: they take turns, one case in six for each.
-# SHADOW_TRACER_ALL_CASES=1 gives every case to every variant; their own tests and the views always do.
+# of their code with one of them, or are there to be compared with: they take turns, one case in six for each; of the
+# views one in three; the slowest ones get few of the slow cases.
+# SHADOW_TRACER_ALL_CASES=1 gives every case to every variant, as their own tests always do.
 _IN_ALL_CASES = ("light_grid-packed", "cone_hierarchy-linear", "mesh_bvh-refit", "brute_force-filtered")
-_TURNS = 6
-_FOR_ALL = ("test_views", "test_front_face_culling", "cone_hierarchy", "test_probe")
+_SLOWEST = ("bsp", "ray_classification")
+_TURNS, _TURNS_OF_VIEWS, _TURNS_OF_SLOW = 6, 3, 24
+_FOR_ALL = ("test_front_face_culling", "cone_hierarchy", "test_probe")
 
 
 def _takes_turns(pipeline: str, variant: str, form: str) -> bool:
@@ -147,10 +149,12 @@ def _turn(item: pytest.Item) -> bool:
     params = item.callspec.params  # type: ignore[attr-defined]
     device, pipeline, variant = case = params["tracer_case"]
     form = params["kernel_form"]
-    if not _takes_turns(pipeline, variant, form) or any(part in item.path.as_posix() for part in _FOR_ALL):
+    path, slow = item.path.as_posix(), item.get_closest_marker("slow") is not None
+    if not _takes_turns(pipeline, variant, form) or any(part in path for part in _FOR_ALL):
         return True
+    turns = _TURNS_OF_SLOW if slow and pipeline in _SLOWEST else _TURNS_OF_VIEWS if "test_views" in path else _TURNS
     name = item.nodeid.replace("-".join(case), "").replace(f"-{probe.CUDA}", "")
-    return (zlib.crc32(name.encode()) + _takers(device).index((case, form))) % _TURNS == 0
+    return (zlib.crc32(name.encode()) + _takers(device).index((case, form))) % turns == 0
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -131,6 +131,25 @@ def test_nothing_is_made_again_for_lights_that_ignore_nothing(any_device: str) -
     assert "build" not in frame.stages or frame.stages["build"] == 0.0
 
 
+@probe.in_forms("names", ["light_grid", "cone_hierarchy", "auto"], ["light_grid"])
+def test_recorded_frames_in_which_every_light_ignores_something(any_device: str, names: str) -> None:
+    """What is made of the scene while a mesh is left out is not taken for the whole, in replays neither."""
+    tracer = ShadowTracer(names, device=any_device, bounds=Bounds(**_BOUNDS), graphs=True)
+    rng, lamp = np.random.default_rng(197), (0.5, 0.25, 3.0)
+    lights = [PointLight("a", lamp, ignore=["ball", "rubble"]), PointLight("b", lamp, ignore=["shade"])]
+    meshes, depth = dict(_MESHES), _depth(198)
+    _put(tracer, meshes)
+    for step in range(7):
+        for name in ("ball", "rubble", "shade", "floor"):
+            vertices, triangles = _MESHES[name]
+            meshes[name] = vertices + rng.normal(0.0, 0.3, 3), triangles
+            tracer.scene.deform(name, meshes[name][0])
+        frame = tracer.trace(depth, _CAMERA, lights, 0.01)
+        true = _expected(any_device, _points(depth), lights, meshes, 0.01)
+        for light, bits in zip(lights, true, strict=True):
+            np.testing.assert_array_equal(frame.light_bits(light.name).reshape(-1), bits, err_msg=f"{step}")
+
+
 def test_sets_of_samples_in_turn(any_device: str) -> None:
     """Two over one scene, of which each leaves out other meshes."""
     tracer = ShadowTracer("light_grid", device=any_device, bounds=Bounds(**{**_BOUNDS, "max_sample_sets": 2}))

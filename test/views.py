@@ -26,6 +26,9 @@ PROCEDURAL += [("stadium", eye) for eye in ("pot", "stand")]
 # (samples x triangles x lights) a frame may cost, by variant: in seconds they are about the same. What is not listed
 # looks at few triangles per sample.
 _PAIRS = {
+    # references, whose build takes the longest
+    ("bsp", "exact"): 4_000_000_000,
+    ("ray_classification", "lazy"): 1_000_000_000,
     ("brute_force", "filtered"): 40_000_000,
     ("brute_force", "float64"): 4_000_000,
     # trees over 2x2 blocks of pixels that see things far apart

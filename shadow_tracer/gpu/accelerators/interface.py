@@ -119,8 +119,8 @@ class Accelerator:
         self._context = context
 
     def follow(self) -> None:
-        """Make or mend what depends on the occluders alone, for revisions that it was not made for; called once per
-        frame before any light."""
+        """Make or mend what depends on the occluders alone, for revisions that it was not made for; called before
+        any light of a frame, and again when other meshes are left out of the scene, whose revision stays."""
 
     def forget(self) -> None:
         """What depends on the occluders alone is to be made again, whatever is there."""

@@ -9,13 +9,23 @@ walk. Direction components below 1e-20 are replaced by 1e-20, so 1/0 and 0 * inf
 point by less than 1e-19 E. Clipping rounds by 2^-50 of the sample's distance from O; a sample farther away than 2^26 E,
 where that would eat the padding, is shown every triangle instead.
 
-A query may be about a bundle of rays from a sample to a sphere of radius R around the light (``query.spread()``). A
-point of such a ray is within R of the point of the middle ray with the same share of the way, so the boxes are met
-within R, taken 1e-5 larger, which is more than what its own roundings may be. Of a light at infinity, the rays are p +
-s w with |w - m| <= R and w - m across m, the unit way of the middle ray: what a ray meets at s is at least s away from
-p, along m, so s is at most the distance to the farthest corner of the scene's box, and the point with the same s on the
-middle ray is within R times that. The clipped middle ray reaches as far: it is clipped to the box that is larger by
-that all around.
+A query may be about a bundle of rays from a sample to points in a box around the light, of half size e along each
+axis (``query.spread()``). A point of such a ray with share s of the way is within s e of the point of the middle ray
+with that share. So it is clipped to the box of the scene made larger by e, which holds the middle ray's points with
+those shares. Of a light at infinity, the rays are p + s w with |w - m| <= e along each axis and w - m across m, the
+unit way of the middle ray: what a ray meets at s is at least s away from p, along m, so s is at most the distance to
+the farthest corner of the scene's box, and e times that takes the place of e.
+
+``above`` and ``below`` are the origin moved by the most that rays may be beside it anywhere, for walks that take a
+bundle for a beam of one width. ``upper`` and ``lower`` begin where the bundle does, moved by what it is wide there,
+and go along each axis by ``1 / upper_inverse`` and ``1 / lower_inverse``, so a bundle gets wider with the way, a
+pyramid. At t along it rays are between lower + t / lower_inverse and upper + t / upper_inverse; a box is met if there
+is a t for which that range meets the box's along each axis: six inequalities in t (exact for the union of the boxes
+that the points with share s lie in). A pyramid is taken 1e-5 wider than it is (``WIDER``). Let a be how wide it is
+where it enters the box of the scene, b how much wider it gets in a unit of t: roundings of ``upper`` are u (1 + a) at
+most, those of a slope u (1 + b), those of the quotient 3 u (2 + a + b t) as a displacement of the box's face. What
+scales with a and b t is less than 1e-5 of it; the rest is 1 u + 4 u + 6 u, of the 27 u E that there are. Where b is
+1e6 or more, the sample is in the middle of the light, and the pyramid is replaced by the beam.
 
 A query may find out on the way that nothing matters beyond some length (``query.shortened()``). The segment then ends
 there (``shorten``), or a little behind: the length in units of E, less where the box begins, is off by what clipping
@@ -37,7 +47,9 @@ PADDING = 2.0**-19
 # Where boxes lie that hold nothing: here in x, beyond the scene's reach to 1 and all padding, each elsewhere in y.
 OUTSIDE = 1.02
 _FAR_AWAY = 2.0**26
-native.constants(BOX_PADDING=PADDING, FAR_AWAY=_FAR_AWAY, BOX_OUTSIDE=OUTSIDE)
+# Of bundles of rays: what they are taken to be, in parts of their width; and from which slope on they are beams.
+_WIDER, _STEEPEST = 1.00001, 1.0e6
+native.constants(BOX_OUTSIDE=OUTSIDE, BOX_PADDING=PADDING, FAR_AWAY=_FAR_AWAY, WIDER=_WIDER, STEEPEST=_STEEPEST)
 
 
 @wp.struct

@@ -153,20 +153,33 @@ class Band:
         """Which of (P, 4) homogeneous points of a light each sample sees, as bits, and counters; asked by the samples
         that the light at ``place`` of the batch, which has just been traced, shines on: of others the bits mean
         nothing."""
+        if self.context.scene.triangle_count == 0:
+            return np.full(self.samples.count, (1 << len(points)) - 1, np.uint64), {}
+        return self._ask(place, points, 1).numpy()[: self.samples.count], self._counted()
+
+    def try_out(self, place: int, points: FloatArray, every: int) -> dict[str, int]:
+        """The counters of ``see`` if only one in so many samples asks."""
+        if self.context.scene.triangle_count == 0:
+            return {}
+        self._ask(place, points, every)
+        return self._counted()
+
+    def _ask(self, place: int, points: FloatArray, every: int) -> wp.array:
         samples, scene, records = self.samples, self.context.scene, self.context.records
-        if scene.triangle_count == 0:
-            return np.full(samples.count, (1 << len(points)) - 1, np.uint64), {}
         asked = Mask()
-        asked.count, asked.points = len(points), self._points
+        asked.count, asked.points, asked.every = len(points), self._points, every
         samples.upload(self._points, points)
-        asked.middle, asked.radius = _bundle(points)
+        asked.middle, asked.extent = _bundle(points)
         asked.positions, asked.states, asked.seen = samples.positions, samples.states_of(place), samples.seen
         asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
         asked.cull, asked.counters = int(records.front_face_culling), samples.counters
         samples.counters.zero_()
         self.pipeline.show(Rays((), mask=asked), MASK)
-        rows = samples.counters.numpy().sum(axis=0)
-        return asked.seen.numpy()[: samples.count], dict(zip(COUNTERS, (int(value) for value in rows), strict=True))
+        return asked.seen
+
+    def _counted(self) -> dict[str, int]:
+        rows = self.samples.counters.numpy().sum(axis=0)
+        return dict(zip(COUNTERS, (int(value) for value in rows), strict=True))
 
     def nbytes(self) -> int:
         """Bytes reserved beyond the buffers, on the device and, for rays that are kept, on the host."""
@@ -182,15 +195,18 @@ class Band:
         into[:, samples.first : samples.first + samples.count] = states
 
 
-def _bundle(points: FloatArray) -> tuple[wp.vec4d, float]:
-    """Of (P, 4) homogeneous points their middle, and how far they are from there at most [m]. At infinity, a way of
-    length 1, and how far the ends of the others, as long as they reach the plane across its end, are from it."""
-    if points[0, 3] != 0.0:
-        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        return wp.vec4d(*middle), float(np.linalg.norm(points - middle, axis=1).max()) * (1.0 + 1e-9)
-    ways = points[:, :3] / np.linalg.norm(points[:, :3], axis=1)[:, None]
-    middle = ways.sum(axis=0)
-    middle /= np.linalg.norm(middle)
-    ends = ways / (ways @ middle)[:, None]
-    # The middle is off by some roundings, which turn a way by as much.
-    return wp.vec4d(*middle, 0.0), float(np.linalg.norm(ends - middle, axis=1).max()) * (1.0 + 1e-9) + 1e-14
+def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d]:
+    """Of (P, 4) homogeneous points their middle, and how far they are from there along each axis at most [m]. At
+    infinity, a way of length 1, and how far the ends of the others, as long as they reach the plane across its end, are
+    from it."""
+    ends, w = points[:, :3], points[0, 3]
+    if w != 0.0:
+        middle = 0.5 * (ends.min(axis=0) + ends.max(axis=0))
+    else:
+        ways = ends / np.linalg.norm(ends, axis=1)[:, None]
+        middle = ways.sum(axis=0)
+        middle /= np.linalg.norm(middle)
+        ends = ways / (ways @ middle)[:, None]
+    # The middle is off by some roundings.
+    extent = np.abs(ends - middle).max(axis=0) * (1.0 + 1e-9) + 1e-14 * np.abs(ends).max()
+    return wp.vec4d(*middle, w), wp.vec3d(*extent)

@@ -98,7 +98,7 @@ struct WIDE(AnyHit) {
     // The sample and the light of the only ray.
     inline const wp::vec4d& sample() const { return answers.positions.data[ray[0]]; }
     inline const wp::vec4d& light() const { return answers.lights.data[0].light; }
-    static inline double spread() { return 0.0; }
+    static inline wp::vec3d spread() { return wp::vec3d(); }
     // Whether less of the ray matters than when this was last asked; if so, how much [m].
     static inline bool shortened(double& metres) { return false; }
     inline void end() { taken = 0; }

@@ -56,7 +56,7 @@ struct ClosestHit1 : Nearest {
         DepthPlane::direction(rays, across(), down(), d, 1);
         return wp::vec4d(d[0], d[1], d[2], 0.0);
     }
-    static inline double spread() { return 0.0; }
+    static inline wp::vec3d spread() { return wp::vec3d(); }
     inline void write() const {
         asked.image.triangle.data[ray[0]] = best;
         asked.image.depth.data[ray[0]] = measured();

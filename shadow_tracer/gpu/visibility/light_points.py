@@ -139,8 +139,15 @@ class Tally:
         """With ``masks``, of the lights with size that a batch tells of: place in it, number, and light."""
         for place, part in enumerate(self._parts[batch.first : batch.first + len(batch.lights)]):
             light = self._lights[part.light]
-            if self._masks and isinstance(light, AreaLight):
+            if part.tells and self._masks and isinstance(light, AreaLight):
                 yield place, part.light, light
+
+    def divide(self, number: int) -> None:
+        """Let the points of light ``number``, of which it has been told where it shines, be traced one by one after
+        all."""
+        light = self._lights[number]
+        assert isinstance(light, AreaLight)
+        self._parts += [_Part(number, point, False, index) for index, point in enumerate(light.hard_lights())]
 
     def put(self, number: int, begin: int, first: int, seen: npt.NDArray[np.uint64]) -> None:
         """Take in which points of light ``number``, from ``begin`` on, the samples from ``first`` on see, as bits."""

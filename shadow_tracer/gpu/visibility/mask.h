@@ -21,6 +21,9 @@ struct PointMask1 {
     }
     double x[MOST], y[MOST], z[MOST], length[MOST], far[MOST]; // of the sample that asks
 #endif
+    // To the middle of the light; magnitudes of the way to any point, times the pad; the least and the most length.
+    wp::vec3d middle;
+    double farthest, shortest, longest;
     const Asked& asked;
     int ray[1], taken;
     int hider; // the triangle that hid a point last, -1 if none has
@@ -29,8 +32,10 @@ struct PointMask1 {
 
     inline explicit PointMask1(const Asked& asked)
         : asked(asked), taken(0), hider(-1), open(0), rays(0), tests(0), nodes(0), retested(0), exact(0) {}
+    // Of an image no column: numbers are scattered first (Knuth's multiplicative hash).
+    inline bool chosen(int number) const { return (unsigned)number * 2654435761u % (unsigned)asked.every == 0; }
     inline void take(int number) {
-        if (asked.states.data[number] > SHADOWED)
+        if (asked.states.data[number] > SHADOWED || !chosen(number))
             return;
         ray[0] = number;
         taken = 1;
@@ -40,6 +45,13 @@ struct PointMask1 {
         open = ~(wp::uint64)0 >> (64 - asked.count);
         hider = -1;
         rays += asked.count;
+        const wp::vec4d &at = asked.positions.data[ray[0]], &light = asked.middle;
+        const wp::vec3d& e = asked.extent;
+        middle = wp::vec3d(light[0] - light[3] * at[0], light[1] - light[3] * at[1], light[2] - light[3] * at[2]);
+        farthest = MASK_PAD * (Plane::sum(middle) + Plane::sum(e));
+        const double length_of_middle = sqrt(middle[0] * middle[0] + middle[1] * middle[1] + middle[2] * middle[2]);
+        const double radius = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
+        shortest = length_of_middle - radius, longest = length_of_middle + radius;
 #if !defined(__CUDA_ARCH__)
         const wp::vec4d& p = asked.positions.data[ray[0]];
         for (int k = 0; k < asked.count; ++k) {
@@ -107,6 +119,43 @@ struct PointMask1 {
                  *(const Reals*)(length + first), *(const Reals*)(far + first) };
 #endif
     }
+    // All points of the light together: NONE is hidden, ALL are, or SOME may be. Each determinant of a point is within
+    // what the box around the points lets it be.
+    enum { NONE, ALL, SOME };
+    struct Span {
+        double low, high;
+
+        inline Span(const Plane& plane, const wp::vec3d& middle, const wp::vec3d& e, double far) {
+            const double at = plane.at(middle), pad = plane.size * far,
+                         beside = fabs(plane.x) * e[0] + fabs(plane.y) * e[1] + fabs(plane.z) * e[2];
+            low = at - beside - pad, high = at + beside + pad;
+        }
+    };
+    inline int together(const Sides& sides, double bias, double w) const {
+        const Span ab(sides.edge[0], middle, asked.extent, farthest), bc(sides.edge[1], middle, asked.extent, farthest),
+            ca(sides.edge[2], middle, asked.extent, farthest);
+        const bool negative = (ab.high < 0.0) | (bc.high < 0.0) | (ca.high < 0.0);
+        const bool positive = (ab.low > 0.0) | (bc.low > 0.0) | (ca.low > 0.0);
+        if (negative & positive)
+            return NONE;
+        if (!sides.sure)
+            return SOME;
+        const Span own(sides.own, middle, asked.extent, farthest);
+        const double side = sides.here > 0.0 ? 1.0 : -1.0, here = fabs(sides.here);
+        const double low = side * (side > 0.0 ? own.low : own.high), high = side * (side > 0.0 ? own.high : own.low);
+        // Behind the own plane are points by -(w here + ...); low and high are of what is added to w here.
+        const double least_behind = -high - w * (here + sides.reach), most_behind = -low - w * (here - sides.reach);
+        if (most_behind < 0.0)
+            return NONE;
+        const double fewest = bias * (w * (here - sides.reach) + least_behind);
+        if (least_behind > 0.0 && 1.000000000001 * (here + sides.reach) * longest < fewest)
+            return NONE;
+        const bool inside =
+            ((ab.low > 0.0) & (bc.low > 0.0) & (ca.low > 0.0)) | ((ab.high < 0.0) & (bc.high < 0.0) & (ca.high < 0.0));
+        const double most = bias * (w * (here + sides.reach) + most_behind);
+        const bool after = (here - sides.reach) * shortest > 1.000000000001 * most;
+        return inside && after && least_behind > 0.0 && asked.cull == 0 ? ALL : SOME;
+    }
     // What the filter says about them: those that are surely hidden, and those that may be.
     // w: 1, or 0 for a light at infinity.
     static inline void judge(const Sides& sides, double bias, double w, const Ways& way, Bits& hidden, Bits& maybe) {
@@ -125,12 +174,15 @@ struct PointMask1 {
         const Reals behind = -side * there; // of the own plane, seen from the sample
         // The biased start is on the sample's side, too, by more than what either computation may be off.
         const Reals least = (here - sides.reach) * way.length, most = w * (here + sides.reach) + behind + off;
+        // Or it surely is not: mostly the sample's own surface, of which it is a little behind.
+        const Reals most_here = (here + sides.reach) * way.length, fewest = w * (here - sides.reach) + behind - off;
         const Bits same = behind<-off, other = behind> off;
         const Bits after = bias > 0.0 ? Bits(least > 1.000000000001 * bias * most) : other;
+        const Bits before = 1.000000000001 * most_here < bias * fewest;
         maybe = ~(inside & outside);
         hidden = all & other & after;
         if (sides.sure)
-            maybe &= ~same;
+            maybe &= ~(same | before);
         else
             hidden &= ~hidden;
     }
@@ -144,7 +196,12 @@ struct PointMask1 {
             return false;
         const wp::vec4d& at = asked.positions.data[ray[0]];
         const Sides sides(wp::vec3d(at[0], at[1], at[2]), a, b, c);
+        const int answer = together(sides, at[3], asked.middle[3]);
+        if (answer == NONE)
+            return false;
         const wp::uint64 before = open;
+        if (answer == ALL)
+            open = 0;
         for (int first = 0; first < asked.count; first += TOGETHER) {
             const wp::uint64 mine = open >> first & GROUP;
             if (!mine)
@@ -177,11 +234,11 @@ struct PointMask1 {
                 return;
     }
     inline int triangle_count() const { return asked.triangle_count; }
-    // The sample, the middle of the light, and how far its points are from there [m]; at infinity, how far the ends of
-    // the ways to them are from the end of the way to its middle, which has length 1, across that.
+    // The sample, the middle of the light, and how far its points are from there along each axis [m]; at infinity, how
+    // far the ends of the ways to them are from the end of the way to its middle, which has length 1, across that.
     inline const wp::vec4d& sample() const { return asked.positions.data[ray[0]]; }
     inline const wp::vec4d& light() const { return asked.middle; }
-    inline double spread() const { return asked.radius; }
+    inline const wp::vec3d& spread() const { return asked.extent; }
     static inline bool shortened(double& metres) { return false; }
     inline void end() {
         asked.seen.data[ray[0]] = open;

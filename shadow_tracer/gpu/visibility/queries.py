@@ -66,10 +66,11 @@ class Mask:
 
     count: int  # of points, at most MASK_POINTS
     points: wp.array(dtype=wp.vec4d)
-    middle: wp.vec4d  # of a sphere that holds them, and its radius [m]
-    radius: wp.float64
+    middle: wp.vec4d  # of a box that holds them, and its half size along each axis [m]
+    extent: wp.vec3d
     positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
     states: wp.array(dtype=wp.uint8)  # those that are LIT or SHADOWED ask
+    every: int  # and of them one in so many
     seen: wp.array(dtype=wp.uint64)  # the answers: a bit for each point that is seen
     vertices: wp.array(dtype=wp.vec3d)
     triangles: wp.array(dtype=wp.vec3i)

@@ -19,8 +19,8 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         [("occluders/clusters.py", "if self._left_out != scene.left_out:", "if False:")],
     ),
     "boxes that are followed once a frame": (
-        "sequences and packed",
-        [("accelerators/light_grid/candidates.py", "self._boxes.follow()  # other", "pass  # other")],
+        "recorded and grid",
+        [("engine/area_lights.py", "            share.follow()", "            pass")],
     ),
     "nobody comes back": (
         "not_see and (brute or linear or packed)",

@@ -23,6 +23,7 @@ from shadow_tracer import (
     SunDisc,
     TubeLight,
 )
+from shadow_tracer.gpu.engine import area_lights, band
 
 pytestmark = probe.in_both_forms
 
@@ -125,6 +126,21 @@ def test_points_on_samples_edges_and_corners(any_device: str, names: str) -> Non
         assert np.array_equal(tracer.states_at(points, [sphere], bias), oracle.states_at(points, [sphere], bias))
 
 
+@pytest.mark.parametrize("names", _WALKERS)
+def test_samples_in_the_middle_of_the_light(any_device: str, names: str) -> None:
+    """Rays of hardly any length to the middle, and all around to the points."""
+    tracer, oracle = _tracer(names, any_device), _tracer("light_grid/packed", any_device)
+    panel = RectangleLight("s", (0.25, -0.5, 1.0), (0.75, 0.0, 0.0), (0.0, 0.75, 0.0), two_sided=True)
+    away = 10.0 ** np.arange(-16.0, 0.0)[:, None, None] * np.concatenate([np.eye(3), -np.eye(3)])
+    points = np.concatenate([[panel.position], (panel.position + away).reshape(-1, 3)])
+    for each in (tracer, oracle):
+        each.scene.put("ball", *geometry.icosphere(2, 0.5, (0.25, -0.5, 1.0)))
+        each.scene.put("soup", *_MESHES["soup"])
+    bits = [each.light_bits(points, [panel]) for each in (tracer, oracle)]
+    np.testing.assert_array_equal(*bits)
+    assert 4 < int(bits[0][0, 0]).bit_count() < 60
+
+
 _EXTENDED: dict[str, Any] = {
     "sphere": SphereLight("s", (0.1, -0.2, 0.3), 0.2, samples=64),
     "rectangle": RectangleLight("s", (0.1, -0.2, 0.3), (0.3, 0.1, 0.0), (-0.1, 0.3, 0.0)),
@@ -165,3 +181,39 @@ def test_one_walk_for_all_points(any_device: str) -> None:
     one = tracer.trace(_depth(), _CAMERA, [PointLight("p", (0.25, -1.0, 0.5))]).counters["nodes_visited"]
     all_points = tracer.trace(_depth(), _CAMERA, [_LIGHTS["beside"]]).counters["nodes_visited"]
     assert one < all_points < 6 * one
+
+
+@pytest.mark.parametrize("names", _WALKERS)
+@pytest.mark.parametrize("light", _LIGHTS)
+def test_the_pilot_decides_about_time_alone(
+    any_device: str, names: str, light: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bundle, or rays one by one, as the pilot's count says: the same bits, beside hard lights and others, twice."""
+    monkeypatch.setattr(area_lights, "PILOT", 8)
+    tracer = _tracer(names, any_device)
+    tracer.scene.put("mesh", *_MESHES["soup"])
+    hard = PointLight("p", (0.5, 0.5, 1.0))
+    disc = DiscLight("d", (0.5, -1.0, 1.5), (0.0, 1.0, 0.25), 0.5, samples=9, ignore=["mesh"])
+    found, rays = [], []
+    for most in (1e9, 0.0, 1e9, 0.0):
+        monkeypatch.setattr(area_lights, "MOST_SHOWN", most)
+        frame = tracer.trace(_depth(), _CAMERA, [hard, _LIGHTS[light], disc], Bias(0.02))
+        found.append([frame.visibility(name) for name in frame.names] + [frame.state(name) for name in frame.names])
+        rays.append(frame.counters["nodes_visited"])
+    for other in found[1:]:
+        for mine, others in zip(found[0], other, strict=True):
+            np.testing.assert_array_equal(mine, others)
+    if _LIGHTS[light].samples > 2:
+        assert rays[1] > 1.5 * rays[0], "one by one takes more steps"
+
+
+def test_the_pilot_is_spread_over_the_image(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its samples are those of no column, and one in about so many."""
+    tracer = _tracer("mesh_bvh/refit", any_device)
+    tracer.scene.put("mesh", *_MESHES["soup"])
+    tried: list[dict[str, int]] = []
+    try_out = band.Band.try_out
+    monkeypatch.setattr(band.Band, "try_out", lambda *given: tried.append(try_out(*given)) or tried[-1])
+    monkeypatch.setattr(area_lights, "PILOT", 30)
+    tracer.trace(np.full((30, 40), 3.0, np.float32), _CAMERA, [_LIGHTS["disc"]], 0.0)
+    assert sum(counts["rays"] for counts in tried) in range(20 * 64, 41 * 64)

@@ -13,18 +13,58 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "a filter without a pad": ("roundings", [("visibility/queries.py", "MASK_PAD = 1e-14", "MASK_PAD = 0.0")]),
     "any bias": (
         "same_points",
-        [(_MASK, "bias > 0.0 ? Bits(least > 1.000000000001 * bias * most) : other", "other")],
+        [
+            (_MASK, "bias > 0.0 ? Bits(least > 1.000000000001 * bias * most) : other", "other"),
+            (_MASK, "maybe &= ~(same | before);", "maybe &= ~same;"),
+        ],
     ),
     "fronts that cast": ("sequences", [(_MASK, "asked.cull == 0 ? bits(sure) : 0", "bits(sure)")]),
     "one ray for the bundle": (
         "same_points",
-        [("accelerators/segment.h", "Query1::SPREADS ? query.spread()", "false ? 0.0")],
+        [
+            ("accelerators/segment.h", "beside[k] = WIDER *", "beside[k] = 0.0 *"),
+            ("accelerators/segment.h", "return WIDER *", "return 0.0 *"),
+        ],
     ),
     "boxes met by the middle ray alone": (
         "same_points",
+        [("accelerators/segment.h", "return WIDER *", "return 0.0 *")],
+    ),
+    "the scene's box met by the middle ray alone": (
+        "same_points",
+        [("accelerators/segment.h", "beside[k] = WIDER *", "beside[k] = 0.0 *")],
+    ),
+    "a pyramid for a sample within the light": (
+        "in_the_middle",
+        [("accelerators/segment.h", "const bool cone = faster < STEEPEST;", "const bool cone = true;")],
+    ),
+    "all points where the middle is": (
+        "same_points",
+        [(_MASK, "low = at - beside - pad, high = at + beside + pad;", "low = at - pad, high = at + pad;")],
+    ),
+    "all points without a pad": (
+        "roundings",
         [
-            ("accelerators/segment.h", "Query1::SPREADS ? origin[k] + (float)beside : origin[k]", "origin[k]"),
-            ("accelerators/segment.h", "Query1::SPREADS ? origin[k] - (float)beside : origin[k]", "origin[k]"),
+            (
+                _MASK,
+                "low = at - beside - pad, high = at + beside + pad;",
+                "low = at - 0.9 * beside, high = at + 0.9 * beside;",
+            )
+        ],
+    ),
+    "all points with any bias": (
+        "same_points",
+        [(_MASK, "inside && after && least_behind > 0.0", "inside && least_behind > 0.0")],
+    ),
+    "fronts that cast for all points": ("sequences", [(_MASK, " && asked.cull == 0 ? ALL", " ? ALL")]),
+    "surely before the bias": (
+        "same_points",
+        [
+            (
+                _MASK,
+                "const Bits before = 1.000000000001 * most_here < bias * fewest;",
+                "const Bits before = most_here < 2.0 * bias * fewest;",
+            )
         ],
     ),
     "opposite sides not asked for": (

@@ -1,4 +1,4 @@
-// needs: query accelerators/segment.h accelerators/bvh/hints.h accelerators/bvh/slabs.h
+// needs: query accelerators/segment.h accelerators/bvh/hints.h accelerators/bvh/slabs.h accelerators/bvh/bundle.h
 // arguments: Structure structure
 // Nearer child first; uses the node layout of Warp's bvh.h. Warp's own query iterator pushes both children untested and
 // hands out boxes one by one: it takes three times as long.
@@ -11,9 +11,14 @@ struct Walk1 {
 
     // Entry distance of a node's box, or one that is not `met`.
     inline float enter(int node) const {
+        const float *low = (const float*)(tree.node_lowers + node), *high = (const float*)(tree.node_uppers + node);
+        if (Query1::SPREADS) {
+            Bundle1 bundle;
+            bundle.enter(low, high, segment);
+            return bundle.met ? bundle.in : 3.0e38f;
+        }
         Slabs1 slabs;
-        slabs.enter((const float*)(tree.node_lowers + node), (const float*)(tree.node_uppers + node), segment.above,
-                    segment.below, inverse, segment.longest);
+        slabs.enter(low, high, segment.above, segment.below, inverse, segment.longest);
         return slabs.met ? slabs.in : 3.0e38f;
     }
     static inline bool met(float distance) { return distance < 1.0e38f; }

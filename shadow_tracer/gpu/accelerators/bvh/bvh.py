@@ -19,7 +19,8 @@ of those behind the scene's last, hold nothing and make no other larger: nobody 
 *Bundles.* Rays are cut to the scene's box, and a bundle is the middle of all their beginnings and ends, and R, the most
 that one of either is from its middle. The point of a ray at a share of its way is within R of that of the middle one at
 the same share. So every box that a ray meets is met by the middle one within R along each axis, no farther off than
-its length. R is taken 1e-5 larger. That also goes for bundles from a sample to the points of a light.
+its length. R is taken 1e-5 larger. That also goes for bundles from a sample to the points of a light, whose R is what
+they are wide along all axes together; sixteen boxes at a time meet them as pyramids (``bundle.h``).
 
 *Blocks.* A triangle is a, b = a + e, c = a + f: a, e and f rounded once to float32, so that these corners are within
 3 u of the real ones along each axis. If a real ray meets the triangle at shares x, y, z of a, b and c, the middle ray

@@ -11,8 +11,9 @@ struct Walk1 {
         if (place != Segment::MEETS)
             return;
         segment.shorten(query, tree.box);
-        const float beside = segment.above[0] - segment.origin[0];
-        Descent1 descent(tree, segment.origin, segment.direction, segment.longest, beside);
+        const wp::vec3 beside = segment.above - segment.origin; // of a point, along each axis at most
+        Descent1 descent(tree, segment.origin, segment.direction, segment.longest,
+                         sqrtf(beside[0] * beside[0] + beside[1] * beside[1] + beside[2] * beside[2]));
         descent.go(query, &segment, Descent1::NO_END);
     }
 };

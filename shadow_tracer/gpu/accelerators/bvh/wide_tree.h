@@ -1,11 +1,24 @@
 // cpu
-// needs: query accelerators/segment.h accelerators/bvh/hints.h accelerators/bvh/slabs.h@8
+// needs: query accelerators/segment.h accelerators/bvh/hints.h accelerators/bvh/slabs.h@8 accelerators/bvh/bundle.h@8
 // constants: TREE_WIDTH
 // arguments: Structure structure
 // The tree with eight children per node; see wide_tree.py.
 struct Walk1 {
     enum { DEPTH = 256, BOUNDS = 6 * TREE_WIDTH, LINKS = 2 * TREE_WIDTH, INNER = 0, NONE = -1 };
 
+    // The children that are met, as bits, and where.
+    static inline int enter(const Real8* bound, const Segment& segment, const wp::vec3& inverse, float* in) {
+        if (Query1::SPREADS) {
+            Bundle8 bundle;
+            bundle.enter(bound, bound + 3, segment);
+            Lanes8::store(in, bundle.in);
+            return bundle.met;
+        }
+        Slabs8 slabs;
+        slabs.enter(bound, bound + 3, segment.above, segment.below, inverse, segment.longest);
+        Lanes8::store(in, slabs.in);
+        return slabs.met;
+    }
     // False if the stack does not hold the tree.
     static inline bool descend(const Structure& structure, Segment& segment, Query1& query) {
         const wp::vec3 inverse(1.0f / segment.direction[0], 1.0f / segment.direction[1], 1.0f / segment.direction[2]);
@@ -18,14 +31,12 @@ struct Walk1 {
             const Real8* bound = (const Real8*)(structure.bounds.data + BOUNDS * (size_t)node);
             const int* link = structure.links.data + LINKS * (size_t)node;
             const int* count = link + TREE_WIDTH;
-            Slabs8 slabs;
-            slabs.enter(bound, bound + 3, segment.above, segment.below, inverse, segment.longest);
             float in[TREE_WIDTH];
-            Lanes8::store(in, slabs.in);
+            const int met = enter(bound, segment, inverse, in);
             int next = -1;
             float nearest = 3.0e38f;
             for (int k = 0; k < TREE_WIDTH; ++k) {
-                if (!(slabs.met >> k & 1) || count[k] == NONE)
+                if (!(met >> k & 1) || count[k] == NONE)
                     continue;
                 if (count[k] != INNER) {
                     for (int j = link[k]; j < link[k] + count[k]; ++j)

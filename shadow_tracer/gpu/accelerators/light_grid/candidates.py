@@ -178,7 +178,6 @@ class CandidateRecords:
 
     def open(self, light: LightFrame) -> None:
         """Nothing is made yet for this light of what is not right any more."""
-        self._boxes.follow()  # other meshes may be left out than before
         stale, records = self._records.begin(light), self._records
         for first, last in blocks(stale.triangles, BLOCK, self._scene.triangle_count):
             self._slices(self._made, records.place(light.number) * records.blocks + first, last - first).zero_()

@@ -33,9 +33,11 @@ class Beam:
 class Structure:
     """A tree whose roots are nodes 0 to 5. The triangles that rays of node k could meet are ``members[first[k]]`` and
     the next ones, ``count[k]`` of them; its children are ``children[32 k + code]``, where it has any: 0 is none, less
-    is one that has been asked for. A node at level LEVELS has none. ``made``: how many nodes there are, more than fit
-    if some did not, and how many of these have lists. ``used``: how many members, how many of these the roots have,
-    and whether some did not fit. ``asked``: where in ``children`` each node belongs."""
+    is one that has been asked for. A node at level LEVELS has none. ``asked``: where in ``children`` each node belongs.
+
+    ``made``: how many nodes there are, while they are asked for more than fit, and how many of these have lists.
+    ``used``: how many members, how many of these the roots have, whether some did not fit, and whether there were no
+    lists but those of the roots before these rays."""
 
     box: SceneBox
     beams: wp.array(dtype=Beam)
@@ -59,16 +61,16 @@ def list_all(lowers: wp.array(dtype=wp.vec3), tree: Structure):
 
 
 @wp.func
-def full(tree: Structure) -> bool:
-    """Whether there was no room for a node, or for the members of one."""
-    return tree.made[0] > tree.level.shape[0] or tree.used[2] != 0
+def forgets(always: int, tree: Structure) -> bool:
+    """Whether lists are to be forgotten: if some did not fit, unless they had just been forgotten."""
+    return always != 0 or (tree.used[2] != 0 and tree.used[3] == 0)
 
 
 @wp.kernel(enable_backward=False)
 def forget(always: int, tree: Structure):
-    """Nothing has been asked for, if no more lists fit, or ``always``. One thread per node."""
+    """Nothing has been asked for, if lists are forgotten. One thread per node."""
     k = wp.tid()
-    if full(tree) or always != 0:
+    if forgets(always, tree):
         for code in range(_CHILDREN):
             tree.children[_CHILDREN * k + code] = 0
 
@@ -76,7 +78,10 @@ def forget(always: int, tree: Structure):
 @wp.kernel(enable_backward=False)
 def begin(always: int, tree: Structure):
     """The roots, after ``forget``. One thread."""
-    if not full(tree) and always == 0:
+    forgotten = forgets(always, tree)
+    tree.used[2] = 0
+    tree.used[3] = wp.where(forgotten or tree.made[0] == _ROOTS, 1, 0)
+    if not forgotten:
         return
     for k in range(_ROOTS):
         beam = Beam()
@@ -86,7 +91,6 @@ def begin(always: int, tree: Structure):
         tree.first[k] = 0
         tree.count[k] = tree.used[1]
     tree.used[0] = tree.used[1]
-    tree.used[2] = 0
     tree.made[0] = _ROOTS
     tree.made[1] = _ROOTS
 
@@ -190,4 +194,7 @@ def link(tree: Structure):
 @wp.kernel(enable_backward=False)
 def end_round(tree: Structure):
     """All nodes have lists. One thread."""
-    tree.made[1] = wp.min(tree.made[0], tree.level.shape[0])
+    if tree.made[0] > tree.level.shape[0]:
+        tree.made[0] = tree.level.shape[0]
+        tree.used[2] = 1
+    tree.made[1] = tree.made[0]

@@ -10,8 +10,8 @@ lights and other frames, as long as the scene stays as it is. As kernels cannot 
 before rays look for occluders: in each round every ray goes down to the smallest cell that has a list, and asks for the
 one below, unless that list has eight triangles or fewer; the first one to ask makes it a node; then lists of the new
 nodes are made, one thread for each. As many rounds as levels are enough for all. Memory is bounded: where there is no
-room for a node or for its list, rays take that of the cell around; before the next light everything is forgotten, and
-lists are made of what is asked for then.
+room for a node or for its list, rays take that of the cell around. Before the next light everything is forgotten then,
+unless these rays had found nothing but the roots: what one light asks for may be more than fits, and is kept.
 
 Why no triangle can be missed. In units of the scene's extent E, u = 2^-24; h = 129/128 is half the size of the cell of
 all origins. All borders of cells are multiples of h 2^-6 and of 2^-6: exact float32, as are the sums that lead to them.
@@ -65,7 +65,7 @@ class RayClassification(Build):
             setattr(tree, name, wp.zeros(self._nodes, dtype=int, device=device))
         tree.children = wp.zeros(CHILDREN * self._nodes, dtype=int, device=device)
         tree.members = wp.empty(max(bounds.grid_entries, triangles), dtype=int, device=device)
-        tree.made, tree.used = wp.zeros(2, dtype=int, device=device), wp.zeros(3, dtype=int, device=device)
+        tree.made, tree.used = wp.zeros(2, dtype=int, device=device), wp.zeros(4, dtype=int, device=device)
 
     def build(self) -> Structure:
         """The roots, and nothing else before rays ask for it."""
@@ -84,7 +84,7 @@ class RayClassification(Build):
         return Asking(self, context)
 
     def forget_lists(self, always: bool) -> None:
-        """Forget all lists if there is no room for more, or ``always``."""
+        """Forget all lists if some did not fit, or ``always``."""
         device, inputs = self._scene.device, [int(always), self._tree]
         wp.launch(classify.forget, dim=self._nodes, inputs=inputs, device=device)
         wp.launch(classify.begin, dim=1, inputs=inputs, device=device)

@@ -121,9 +121,24 @@ def test_little_memory(any_device: str, monkeypatch: pytest.MonkeyPatch, nodes: 
         assert _equal(tracer, mesh, rng.uniform(-2, 2, (300, 3)), light).any()
         structure = probe.structure(tracer)
         assert _made(tracer) <= nodes and structure.used.numpy()[0] <= max(room, 700)
-    made = structure.made.numpy()[0]
-    tracer.occluded(np.zeros((1, 3)), _LAMP)
-    assert (structure.made.numpy()[0] <= 12 or made <= nodes) and not tracer.occluded(np.zeros((0, 3)), _LAMP).any()
+
+
+def test_what_does_not_fit_is_forgotten(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the next light, unless that one light asks for more than fits: then its lists are kept."""
+    monkeypatch.setattr(ray_classification, "_FEWEST_NODES", 40)
+    rng = np.random.default_rng(6)
+    mesh, points = geometry.soup(rng, 150, 0.3, 2.0), rng.uniform(-2, 2, (200, 3))
+    tracer, oracle = _tracer(any_device, max_triangles=160), tracer_of(any_device, "brute_force")
+    for each in (tracer, oracle):
+        each.scene.put("mesh", *mesh)
+    made = []
+    for light in (_SUN, _SUN, _SUN, _LAMP, _LAMP):
+        some = points[:1] if light is _LAMP else points
+        assert np.array_equal(tracer.occluded(some, light), oracle.occluded(some, light))
+        made.append(probe.structure(tracer).asked.numpy()[: _made(tracer)].tolist())
+    assert len(made[0]) == 40 and made[0] == made[1] == made[2], "kept"
+    assert made[3] == made[2], "nothing fits"
+    assert 6 < len(made[4]) <= 12, "made again"
 
 
 def test_samples_far_away_and_beside_the_box(any_device: str) -> None:

@@ -45,8 +45,14 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         [(_RAYS + "classify.py", "                few = count\n", "")],
     ),
     "nothing is forgotten": (
-        "memory",
-        [(_RAYS + "classify.py", "return tree.made[0] > tree.level.shape[0] or tree.used[2] != 0", "return False")],
+        "forgotten",
+        [
+            (
+                _RAYS + "classify.py",
+                "return always != 0 or (tree.used[2] != 0 and tree.used[3] == 0)",
+                "return always != 0",
+            )
+        ],
     ),
     "every ray asks for a cell": (
         "asked_for",
