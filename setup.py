@@ -42,6 +42,10 @@ setup(
         "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1.6,<7.2", "ros-jazzy-common-interfaces>=5.3.6,<5.4"],
         # mesh.files of the node: concave polygons, and formats that have no reader here.
         "mesh": ["mapbox-earcut>=1.0.3", "trimesh>=4.4"],
+        # Pictures and coloured meshes of doses; plans by a solver.
+        "dose": ["matplotlib>=3.8", "scipy>=1.11", "trimesh>=4.4"],
+        # Intensities from IES LM-63 files.
+        "photometry": ["photompy>=0.3"],
         # Lights of type sun.
         "sun": ["ephem>=4.1.5"],
         # `shadow_tracer bag` on recordings, without ROS.

@@ -13,6 +13,7 @@ from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, positions_of, valid_points
 from shadow_tracer.scene.frame_checks import Lights, check_bits, check_lights, check_points
+from shadow_tracer.scene.irradiance import check_strengths, irradiance_of, unit_normals
 from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.mesh import Scene
 from shadow_tracer.visibility import State, bits_of, share_of
@@ -123,6 +124,40 @@ class PointAnswers:
             for number, (light, states) in enumerate(zip(checked, traced.states, strict=True)):
                 bits[number, piece] = bits_of(light.name, states, traced.reaching.get(number))
         return bits.reshape(len(checked), *shape)
+
+    def irradiance(
+        self, points: Any, normals: Any, lights: Iterable[Light], bias: float = 0.0, samples: str = ""
+    ) -> FloatArray:
+        """How much radiation of each light falls on a surface at each point.
+
+        Rays start at the points, ``bias`` towards the light: points of a mesh in the scene are best moved a little
+        along their normals first, or their triangles hide them.
+
+        Args:
+            points, bias, samples: as for :meth:`states_at`.
+            normals: (..., 3) of the side of the surface that is asked about, in the world; any length but zero, not
+                finite or zero where unknown.
+            lights: as for :meth:`states_at`, each with a strength and of at most 64 points.
+
+        Returns:
+            (L, ...) float64 irradiance [W/m2], light after light, each of the leading shape; float64, so that what is
+            summed up over hours does not drift. 0 where no point of the light reaches, and where those that reach are
+            behind the surface; NaN for points that are INVALID, inside a light, or reached with an unknown normal.
+
+        Raises:
+            ValueError: an argument is malformed, a light has no strength; the message names it.
+            BoundsError: more lights than declared, or no set of samples is free.
+        """
+        shape, flat, valid, checked = self._ask(points, lights)
+        check_strengths(checked)
+        facing = unit_normals(normals, shape)
+        bits = self.light_bits(points, checked, bias, samples).reshape(len(checked), -1)
+        found = np.stack(
+            [irradiance_of(light, flat, facing, reach) for light, reach in zip(checked, bits, strict=True)]
+        )
+        if valid is not None:
+            found[:, ~valid] = np.nan
+        return found.reshape(len(checked), *shape)
 
     def _ask(
         self, points: Any, lights: Iterable[Light]

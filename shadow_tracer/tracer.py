@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shadow_tracer.frame_surface import FrameSurface
 from shadow_tracer.gpu.accelerators.registry import AUTO, available_pipelines, resolve
 from shadow_tracer.point_answers import PointAnswers
 from shadow_tracer.scene.bias import Bias
@@ -323,4 +324,7 @@ class ShadowTracer(PointAnswers):
         result = self._engine.trace_depth(self.scene, image, camera, lights, bias, self._culling, verify, samples)
         names = tuple(light.name for light in lights)
         reaching = {names[number]: found.shaped(image.shape) for number, found in result.reaching.items()}
-        return Frame(names, image.shape, result.found, result.stages, result.counters, reaching)
+        surface = None
+        if any(light.strength is not None for light in lights):
+            surface = FrameSurface(image, camera, self.scene, self.device)
+        return Frame(names, image.shape, result.found, result.stages, result.counters, reaching, lights, surface)

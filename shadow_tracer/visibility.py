@@ -3,13 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from shadow_tracer.frame_surface import FrameSurface
 from shadow_tracer.gpu.visibility.light_bits import Reaching
 from shadow_tracer.gpu.visibility.packed_states import PackedStates, as_bytes
+from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.irradiance import check_strengths, irradiance_of, unit_normals
+from shadow_tracer.scene.lights import Light
 
 ByteImage = npt.NDArray[np.uint8]
 
@@ -61,6 +67,8 @@ class Frame:
         stages: dict[str, float],
         counters: dict[str, int],
         reaching: dict[str, Reaching] | None = None,
+        lights: Iterable[Light] = (),
+        surface: FrameSurface | None = None,
     ) -> None:
         self.names = names
         """Light names in the order given to :meth:`ShadowTracer.trace`."""
@@ -77,6 +85,10 @@ class Frame:
         self._shape = shape  # (H, W)
         self._found = found  # (L, H * W) states, or what they can be made of
         self._reaching = reaching or {}  # of lights with size: which points reach (H, W) samples
+        self.lights = tuple(lights)
+        """The lights in that order, as they were given."""
+        self._lights = {light.name: light for light in self.lights}
+        self._surface = surface  # where a light has a strength
 
     @property
     def _states(self) -> ByteImage:
@@ -104,6 +116,62 @@ class Frame:
             ValueError: no such light, or one with more than 64 points.
         """
         return bits_of(name, self.state(name), self._reaching.get(name))
+
+    def irradiance(self, name: str | Iterable[str] | None = None, normals: Any = None) -> npt.NDArray[np.float32]:
+        """(H, W) float32 irradiance of the surface in each pixel by the light ``name`` [W/m2]: what falls on it from
+        the points of the light that reach, each with its cosines and distance. It is computed in float64 and rounded
+        once; float32 holds seven digits, and no lamp is known to four. 0 where no point reaches and where the surface
+        is turned away; NaN where depth is invalid, and where points reach a surface of unknown normal.
+
+        Args:
+            name: a light with a strength; several, or None for all: their sum, in ascending order of names.
+            normals: (H, W, 3) of the surface in the world, any length but zero, NaN where unknown; None:
+                :meth:`normals`.
+
+        Raises:
+            ValueError: no such light, it has no strength or more than 64 points, or ``normals`` is malformed.
+        """
+        some = self.names if name is None else [name] if isinstance(name, str) else name
+        names = sorted({self.names[self._number(each)] for each in some})
+        lights = [self._lights[each] for each in names]
+        check_strengths(tuple(lights))
+        surface = self._seen()
+        facing = unit_normals(surface.normals[0] if normals is None else normals, self._shape)
+        positions = surface.positions.reshape(-1, 3)
+        total = np.zeros(len(positions))
+        for light in lights:
+            total += irradiance_of(light, positions, facing, self.light_bits(light.name).ravel())
+        total[self._invalid().ravel()] = np.nan
+        with np.errstate(over="ignore"):
+            return total.astype(np.float32).reshape(self._shape)
+
+    def normals(self, mesh: bool = True) -> FloatArray:
+        """(H, W, 3) float64 unit normals of the surface in the world, on the camera's side: of the triangle that the
+        pixel's ray meets first in the scene as it was traced, where the depth measured is within a twentieth of that
+        triangle's; else of a plane fitted through neighbouring pixels; NaN where there is none. Computed when first
+        asked for; :meth:`normal_source` says which.
+
+        Args:
+            mesh: False: those of fitted planes alone, such as where the scene holds the depth image itself.
+
+        Raises:
+            ValueError: no light of this frame has a strength.
+        """
+        surface = self._seen()
+        return (surface.normals[0] if mesh else surface.fitted).copy()
+
+    def normal_source(self) -> ByteImage:
+        """(H, W) uint8 image of :class:`NormalSource` values: where :meth:`normals` are from.
+
+        Raises:
+            ValueError: no light of this frame has a strength.
+        """
+        return self._seen().normals[1].copy()
+
+    def _seen(self) -> FrameSurface:
+        if self._surface is None:
+            raise ValueError("strength: no light of this frame has one, so nothing is kept of its surface")
+        return self._surface
 
     def mask(self, name: str | None = None, unknown: int = 0) -> ByteImage:
         """(H, W) uint8 visibility mask: 255 lit, 0 in shadow or outside the light, ``unknown`` where depth is invalid.

@@ -29,8 +29,10 @@ OTHERS = [ROOT / "CONTRIBUTING.md", ROOT / "QUALITY_DECLARATION.md", ROOT / "ben
 PAGES = [README, *OTHERS, *sorted((ROOT / "docs").glob("*.md"))]
 IDS = [page.relative_to(ROOT).as_posix() for page in PAGES]
 DOCS = ROOT / "docs"
-NODE, LIBRARY, INSTALL, RECORDINGS = (DOCS / f"{name}.md" for name in ("node", "library", "install", "recordings"))
-FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS]
+NODE, LIBRARY, INSTALL, RECORDINGS, DOSE = (
+    DOCS / f"{name}.md" for name in ("node", "library", "install", "recordings", "dose")
+)
+FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS, DOSE]
 FOR_USERS += [DOCS / f"{name}.md" for name in ("troubleshooting", "integration", "slam", "testing")]
 
 _BLOCK = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.MULTILINE)
@@ -101,7 +103,7 @@ def rows(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in table[2:]]
 
 
-@pytest.mark.parametrize(("page", "count"), [(README, 1), (LIBRARY, 8)], ids=["README.md", "docs/library.md"])
+@pytest.mark.parametrize(("page", "count"), [(README, 1), (LIBRARY, 8), (DOSE, 3)], ids=lambda page: str(page)[-10:])
 def test_the_code_for_the_library_gives_what_its_comments_say(page: Path, count: int) -> None:
     code = blocks(page, "python")
     assert len(code) == 1, "one block for the library"
@@ -232,7 +234,9 @@ def topics_of(listed: list[tuple[str, list[str]]]) -> dict[str, str]:
     for name, (kind, *_) in listed:
         if name in ("/rosout", "/parameter_events", "/clock"):
             continue
-        name = re.sub("/(mask|visibility)/lamp", r"/\1/<light>", name).replace("/lights/lamp/", "/lights/<light>/")
+        name = re.sub("/(mask|visibility|irradiance)/lamp", r"/\1/<light>", name).replace(
+            "/lights/lamp/", "/lights/<light>/"
+        )
         topics[re.sub("^/shadow_tracer/", "~/", name)] = re.sub("/(msg|srv)/", "/", kind)
     return topics
 

@@ -19,6 +19,7 @@ from shadow_tracer import (
     RectangleLight,
     SphereLight,
     SpotLight,
+    Strength,
     SunDisc,
     TubeLight,
 )
@@ -58,6 +59,7 @@ class LightSettings:
     two_sided: bool
     angular_diameter: float
     ignore: tuple[str, ...]
+    strength: Strength | None
 
     def light(self, frame_to_world: FloatArray, direction: FloatArray | None = None) -> Light:
         """The light in the world.
@@ -72,7 +74,7 @@ class LightSettings:
         name, turn = self.name, frame_to_world[:3, :3]
         position = turn @ np.asarray(self.position) + frame_to_world[:3, 3]
         way = turn @ (np.asarray(self.direction) if direction is None else direction)
-        more: dict[str, Any] = {"ignore": self.ignore}
+        more: dict[str, Any] = {"ignore": self.ignore, "strength": self.strength}
         if self.type in ("directional", "sun"):
             if self.angular_diameter > 0.0:
                 return SunDisc(name, way, self.angular_diameter, **more)
@@ -152,6 +154,12 @@ class Settings:
     queue_capacity: int
     grid_entries: int
     diagnostics_period: float
+    dose_parts: tuple[str, ...]
+    dose_target: float
+    dose_goal: float
+    dose_max_edge: float
+    dose_side: str
+    dose_folder: str
 
     @property
     def bounds(self) -> Bounds:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from shadow_tracer.scene.hard_lights import (
     names_of,
     range_of,
 )
+from shadow_tracer.scene.strength import ISOTROPIC, LAMBERT, Strength, check_strength
 
 MOST_BITS = 64
 """Points of a light that are told apart, as the bits of a 64-bit number."""
@@ -47,6 +48,9 @@ class AreaLight:
     name: str
     samples: int
     ignore: Iterable[str]
+    strength: Strength | None
+    _quantities: ClassVar[tuple[str, ...]] = ("power", "intensity", "exitance")
+    _models: ClassVar[tuple[str, ...]] = (ISOTROPIC, LAMBERT)
 
     @property
     def homogeneous_points(self) -> FloatArray:
@@ -79,6 +83,7 @@ class AreaLight:
         """The arguments that all have."""
         name_of(self.name, "name")
         object.__setattr__(self, "ignore", names_of(self.ignore))
+        check_strength(self, self._quantities, self._models)
         count = self.samples
         if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or not 2 <= count <= self._most():
             raise ValueError(f"samples: expected an integer from 2 to {self._most()}, got {count!r}")
@@ -124,7 +129,7 @@ class SphereLight(AreaLight):
         radius: positive [m].
         range: samples of the scene farther than this from the centre are OUTSIDE [m]; infinity by default.
         samples: number of points, 2 to 1024; those of up to 64 are told apart (:meth:`Frame.light_bits`).
-        ignore: as for :class:`PointLight`.
+        ignore, strength: as for :class:`PointLight`.
     """
 
     name: str
@@ -133,6 +138,7 @@ class SphereLight(AreaLight):
     range: float = math.inf
     samples: int = 32
     ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         freeze(self, "position", vector3(self.position, "position"))
@@ -173,7 +179,7 @@ class DiscLight(AreaLight):
         two_sided: whether it shines to both sides. Else samples behind it, and in its plane, are OUTSIDE.
         range: samples of the scene farther than this from the centre are OUTSIDE [m]; infinity by default.
         samples: number of points, 2 to 64.
-        ignore: as for :class:`PointLight`.
+        ignore, strength: as for :class:`PointLight`.
     """
 
     name: str
@@ -184,6 +190,7 @@ class DiscLight(AreaLight):
     range: float = math.inf
     samples: int = 64
     ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         freeze(self, "position", vector3(self.position, "position"))
@@ -225,7 +232,7 @@ class RectangleLight(AreaLight):
         two_sided: whether it shines to both sides. Else samples behind it, and in its plane, are OUTSIDE.
         range: samples of the scene farther than this from the centre are OUTSIDE [m]; infinity by default.
         samples: number of points, 2 to 64.
-        ignore: as for :class:`PointLight`.
+        ignore, strength: as for :class:`PointLight`.
     """
 
     name: str
@@ -236,6 +243,7 @@ class RectangleLight(AreaLight):
     range: float = math.inf
     samples: int = 64
     ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         freeze(self, "position", vector3(self.position, "position"))
@@ -281,7 +289,7 @@ class TubeLight(AreaLight):
         radius: 0 or more [m]; 0 is a line.
         range: samples of the scene farther than this from the middle are OUTSIDE [m]; infinity by default.
         samples: number of points, 2 to 64.
-        ignore: as for :class:`PointLight`.
+        ignore, strength: as for :class:`PointLight`.
     """
 
     name: str
@@ -291,6 +299,7 @@ class TubeLight(AreaLight):
     range: float = math.inf
     samples: int = 64
     ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         freeze(self, "start", vector3(self.start, "start"))
@@ -301,6 +310,8 @@ class TubeLight(AreaLight):
         object.__setattr__(self, "radius", radius)
         if not np.abs(self.end - self.start).max() >= 1e-30:
             raise ValueError(f"end: expected another place than start = {self.start.tolist()}, got {self.end.tolist()}")
+        if not radius and self.strength is not None and self.strength.exitance is not None:
+            raise ValueError("strength.exitance: a tube of radius 0 has no surface; give power or intensity")
         object.__setattr__(self, "range", range_of(self.range))
         self._check()
 
@@ -339,14 +350,19 @@ class SunDisc(AreaLight):
         direction: (3,) the way the light of its middle travels; any length but zero.
         angular_diameter: of the disc [rad], 0 < angular_diameter <= pi/2; by default that of the sun, 0.533 degrees.
         samples: number of directions, 2 to 64.
-        ignore: as for :class:`PointLight`.
+        ignore, strength: as for :class:`PointLight`; its strength is the ``irradiance`` of the whole disc on a plane at
+            right angles to its middle.
     """
+
+    _quantities: ClassVar[tuple[str, ...]] = ("irradiance",)
+    _models: ClassVar[tuple[str, ...]] = ()
 
     name: str
     direction: Vector
     angular_diameter: float = math.radians(0.533)
     samples: int = 64
     ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         freeze(self, "direction", direction3(self.direction, "direction"))

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from shadow_tracer.scene.checks import FloatArray, direction3, name_of, real, vector3
+from shadow_tracer.scene.strength import ISOTROPIC, LAMBERT, Strength, check_strength
 
 # Three real numbers in any form going in, a read-only float64 array coming out.
 Vector = Any
@@ -58,16 +59,19 @@ class PointLight:
         range: samples farther than this are OUTSIDE [m]; infinity by default.
         ignore: names of meshes that cast no shadow in this light, such as its fixture; a name stands also for all that
             begin with it and a slash. One that no mesh has ignores nothing, until there is such a mesh.
+        strength: how much it radiates, see :class:`Strength`; None: only what it reaches can be asked.
     """
 
     name: str
     position: Vector
     range: float = math.inf
     ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         name_of(self.name, "name")
         object.__setattr__(self, "ignore", names_of(self.ignore))
+        check_strength(self, ("power", "intensity"), (ISOTROPIC,))
         freeze(self, "position", vector3(self.position, "position"))
         object.__setattr__(self, "range", range_of(self.range))
 
@@ -94,6 +98,7 @@ class SpotLight:
         range: samples farther than this are OUTSIDE [m]; infinity by default.
         ignore: names of meshes that cast no shadow in this light, such as its fixture; a name stands also for all that
             begin with it and a slash. One that no mesh has ignores nothing, until there is such a mesh.
+        strength: how much it radiates, see :class:`Strength`; None: only what it reaches can be asked.
     """
 
     name: str
@@ -102,10 +107,12 @@ class SpotLight:
     outer_angle: float
     range: float = math.inf
     ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         name_of(self.name, "name")
         object.__setattr__(self, "ignore", names_of(self.ignore))
+        check_strength(self, ("power", "intensity"), (ISOTROPIC, LAMBERT))
         freeze(self, "position", vector3(self.position, "position"))
         freeze(self, "direction", direction3(self.direction, "direction"))
         angle = real(self.outer_angle)
@@ -136,16 +143,18 @@ class DirectionalLight:
     Args:
         name: how the light is called in results; a non-empty string.
         direction: (3,) the way light travels; any length but zero.
-        ignore: as for :class:`PointLight`.
+        ignore, strength: as for :class:`PointLight`; its strength is an ``irradiance``.
     """
 
     name: str
     direction: Vector
     ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         name_of(self.name, "name")
         object.__setattr__(self, "ignore", names_of(self.ignore))
+        check_strength(self, ("irradiance",), ())
         freeze(self, "direction", direction3(self.direction, "direction"))
 
     @property

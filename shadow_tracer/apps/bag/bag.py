@@ -31,7 +31,8 @@ _NOT_OURS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 
 _DESCRIPTION = """\
 Answers every depth image of a bag as the node would, and writes ~/mask, ~/mask/<light>, ~/light_bits, ~/camera_info,
-~/query/visibility and ~/timing into a new bag, and ~/visibility/<light> with --visibility. No ROS is needed.
+~/query/visibility and ~/timing into a new bag; ~/visibility/<light> with --visibility, ~/irradiance and
+~/irradiance/<light> with --irradiance. No ROS is needed.
 Transforms, camera poses and camera_info are read before, so that none comes late; meshes, light poses and static
 transforms that change are taken in the order of the log. The same bag and parameters give the same masks, bit by
 bit."""
@@ -87,7 +88,13 @@ def perform(chosen: argparse.Namespace) -> int:
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     lights = [light.name for light in settings.lights if light.type != "sun"]
-    wish = Wish(timing=not chosen.no_timing, overlay=chosen.overlay, copy=chosen.copy, visibility=chosen.visibility)
+    wish = Wish(
+        timing=not chosen.no_timing,
+        overlay=chosen.overlay,
+        copy=chosen.copy,
+        visibility=chosen.visibility,
+        irradiance=chosen.irradiance,
+    )
     source = Recording(chosen.bag, names, lights, settings.max_rays)
     with source as recording, Output(chosen.output, chosen.overwrite) as output:
         for line in (*recording.notes, *(f"warning: {text}" for text in recording.warnings)):
@@ -99,7 +106,7 @@ def perform(chosen: argparse.Namespace) -> int:
         tracer.warm_up()
         player = Player(recording, background, settings, tracer, output, names, wish)
         result = _play(player, recording)
-        advice = [*player.meshes.left_out, *_advice(recording, background, settings, result)]
+        advice = [*player.meshes.left_out, *player.dose.troubles, *_advice(recording, background, settings, result)]
     _summarise(result, output, player, tracer, time.monotonic() - start)
     for line in advice:
         print(f"warning: {line}", file=sys.stderr)
@@ -201,6 +208,9 @@ def _options() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--visibility", action="store_true", help="also write ~/visibility/<light>, the part that is seen, 0 to 1"
+    )
+    parser.add_argument(
+        "--irradiance", action="store_true", help="also write ~/irradiance and ~/irradiance/<light> [W/m2]"
     )
     parser.add_argument("--overlay", action="store_true", help="also write ~/overlay, pictures for people")
     parser.add_argument(

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from shadow_tracer import ShadowTracer
+from shadow_tracer.apps.bag.dose import TOPICS, BagDose
 from shadow_tracer.apps.bag.names import Names
 from shadow_tracer.apps.bag.reader import MESHES, Background, Message, Recording, add_transforms
 from shadow_tracer.apps.bag.writer import Output
@@ -33,7 +34,7 @@ from shadow_tracer.ros.world.lighting import Lighting, LightPose
 from shadow_tracer.ros.world.mesh_sources import MeshSources
 
 _NOW = 0.0  # steady time: nothing waits here
-_BY_LIGHT = ("mask", "visibility")  # topics of which each light has one
+_BY_LIGHT = ("mask", "visibility", "irradiance")  # topics of which each light has one
 _LATER = 1e9  # by then everything has waited long enough
 _BACKWARD_STAMPS = 1_000_000_000  # as in the node: images this much older than the last one mean another pass
 
@@ -46,6 +47,7 @@ class Wish:
     overlay: bool = False
     copy: bool = False
     visibility: bool = False
+    irradiance: bool = False
 
 
 @dataclass
@@ -115,12 +117,14 @@ class Player:
         self._lighting = Lighting()
         self._processor = Processor(self._queue, self._frames, self.meshes.store, self._lighting)
         self._queries = Queries(self._frames, self.meshes.store, self._lighting)
+        self.dose = BagDose(settings, tracer, output, names)
         self._camera_frame = ""
         self._last_stamp = 0
         self._info_stamps = sorted(background.infos)
         self._next_info = 0
-        self._mine = {names.topic(f"~/{name}") for name in ("mask", "light_bits", "camera_info", "timing", "overlay")}
-        self._mine |= {names.topic("~/query/visibility")}
+        self._mine = {names.topic(f"~/{name}") for name in ("mask", "light_bits", "camera_info", "timing")}
+        self._mine |= {names.topic(f"~/{name}") for name in ("overlay", "irradiance")}
+        self._mine |= {names.topic(topic) for topic in ("~/query/visibility", *TOPICS)}
         self._mine |= {names.topic(f"~/{kind}/{light.name}") for light in settings.lights for kind in _BY_LIGHT}
         if settings.camera_info_policy == "latest":
             self._queue.put_info(background.first_info)
@@ -142,6 +146,7 @@ class Player:
                 self.result.refuse(message.name or message.topic, str(error))
             if message.name == "depth":
                 progress()
+        self.dose.finish()
         self._sum_up()
         return self.result
 
@@ -189,6 +194,7 @@ class Player:
             raise RuntimeError("a frame waits though nothing can come")
         self._note(answer)
         self._publish(answer, now_ns, start)
+        self.dose.note(answer, now_ns, self._camera_frame)
 
     def _offer_infos(self, stamp: int) -> None:
         """Give the queue every camera_info up to the stamp of an image [ns], and the one after it."""
@@ -232,6 +238,10 @@ class Player:
             if self._wish.visibility:
                 share = answer.visibility(light)
                 self._output.image(topic(f"~/visibility/{light}"), now_ns, share, "32FC1", header)
+            if self._wish.irradiance:
+                self._output.image(topic(f"~/irradiance/{light}"), now_ns, answer.irradiance(light), "32FC1", header)
+        if self._wish.irradiance:
+            self._output.image(topic("~/irradiance"), now_ns, answer.irradiance(), "32FC1", header)
         self._output.image(topic("~/mask"), now_ns, published_mask(answer, None, self._settings), "mono8", header)
         if len(answer.names) <= MOST_BITS:
             bits = answer.bits()

@@ -17,6 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from shadow_tracer.apps.bag.files import BagError
+from shadow_tracer.ros.wire.dose_messages import FIELDS, STEP
 from shadow_tracer.ros.wire.messages import image_layout
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -106,6 +107,26 @@ class Output:
         """Write a message of ROS 2 Jazzy."""
         kind = content.__msgtype__
         self._put(topic, time, kind, self._types.serialize_cdr(content, kind), typestore=self._types)
+
+    def cloud(self, topic: str, time: int, rows: npt.NDArray[Any], stamp: Any, frame: str) -> None:
+        """Write texels as a cloud, rows as of :mod:`dose_messages`, in a frame at the stamp of an image."""
+        types = self._types.types
+        make = types["sensor_msgs/msg/PointField"]
+        fields = [make(name=name, offset=offset, datatype=kind, count=1) for name, offset, kind, _ in FIELDS]
+        when = types["builtin_interfaces/msg/Time"](sec=stamp.sec, nanosec=stamp.nanosec)
+        header = types["std_msgs/msg/Header"](stamp=when, frame_id=frame)
+        self._write(
+            topic, time, "sensor_msgs/msg/PointCloud2", header=header, height=1, width=len(rows), fields=fields,
+            is_bigendian=False, point_step=STEP, row_step=STEP * len(rows), data=rows.view(np.uint8), is_dense=False,
+        )  # fmt: skip
+
+    def value(self, topic: str, time: int, kind: str, data: Any) -> None:
+        """Write a message of std_msgs that holds a single value."""
+        self._write(topic, time, kind, data=data)
+
+    def raw(self, topic: str, time: int, kind: str, data: bytes) -> None:
+        """Write the bytes of a message of ROS 2 Jazzy."""
+        self._put(topic, time, kind, data, typestore=self._types)
 
     def copy(self, topic: str, time: int, kind: str, data: bytes, typestore: Any, qos: Any) -> None:
         """Write a message as it was read.

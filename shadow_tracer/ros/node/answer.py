@@ -34,12 +34,14 @@ class Answer:
         missing: why nothing is known; None if the frame was traced.
         names: all lights in the order of the parameter ``light_names``.
         enabled: those among them that are enabled.
+        strong: those among these that have a strength.
         unknown_value: value of pixels of which nothing is known.
         traced: the tracer's result for the lights that shine; None if nothing is known or no light shines.
         optics: the intrinsics that were used, None if nothing is known.
         stages: stage -> milliseconds, in order.
         numbers: counters of the tracer.
         warning: what is doubtful about the input though it was used, "" if nothing.
+        depth_casts: whether the scene that was traced holds the surface that the depth image shows.
     """
 
     frame: WaitingFrame
@@ -47,12 +49,14 @@ class Answer:
     missing: Missing | None
     names: tuple[str, ...]
     enabled: tuple[str, ...]
+    strong: tuple[str, ...]
     unknown_value: int
     traced: Frame | None = None
     optics: Intrinsics | None = None
     stages: dict[str, float] = field(default_factory=dict)
     numbers: dict[str, Any] = field(default_factory=dict)
     warning: str = ""
+    depth_casts: bool = False
 
     def mask(self, light: str | None = None) -> Mask:
         """(H, W) uint8 mask of a light, or of all together: 255 lit, 0 not reached, ``unknown_value``."""
@@ -102,6 +106,20 @@ class Answer:
             return self.traced.visibility(light)
         known = self._measured() & (self.missing is None)  # of a sun below the horizon nothing reaches
         return np.where(known, np.float32(0.0), np.float32(np.nan))
+
+    def irradiance(self, light: str | None = None) -> npt.NDArray[np.float32]:
+        """(H, W) float32 irradiance [W/m2] of the surface in each pixel by a light, or by all that have a strength; NaN
+        where nothing is known, everywhere of a light without strength."""
+        known = self._measured() & (self.missing is None)
+        wanted = [name for name in self.strong if light in (None, name)]
+        if not wanted or self.missing is not None:
+            return np.full(known.shape, np.nan, np.float32)
+        shining = [name for name in wanted if self.traced is not None and name in self.traced.names]
+        if self.traced is None or not shining:  # suns below the horizon
+            return np.where(known, np.float32(0.0), np.float32(np.nan))
+        # Of the surface that the depth image shows, each triangle has a corner or two of noise.
+        normals = self.traced.normals(mesh=False) if self.depth_casts else None
+        return self.traced.irradiance(shining, normals)
 
     @property
     def mask_info(self) -> CameraInfo | None:

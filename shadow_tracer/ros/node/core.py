@@ -13,8 +13,10 @@ from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from shadow_tracer import ShadowTracer
 from shadow_tracer.ros import diagnostics
 from shadow_tracer.ros.node.answer import Answer
+from shadow_tracer.ros.node.dose import DoseOutputs, DoseServices
 from shadow_tracer.ros.node.health import DeviceState, Health
 from shadow_tracer.ros.node.inputs import Inputs
 from shadow_tracer.ros.node.log_bridge import LogBridge
@@ -25,8 +27,10 @@ from shadow_tracer.ros.node.services import Services
 from shadow_tracer.ros.node.tracer_host import Outcome, TracerHost
 from shadow_tracer.ros.parameters.parameter_server import ParameterServer
 from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.world.exposure import Exposure
 from shadow_tracer.ros.world.frames import Frames, Tf2
 from shadow_tracer.ros.world.marker_feed import Markers
+from shadow_tracer.ros.world.scene_markers import world_name
 
 _RETRY_PERIOD = 0.01
 _MATCH_PERIOD = 0.1
@@ -63,12 +67,13 @@ class Core:
         self.processor = Processor(self.inputs.queue, self.frames, self.inputs.meshes.store, self.inputs.lighting)
         self.host = TracerHost(self.wake)
         self.outputs = Outputs(node)
+        self.exposure, self.dose = Exposure(), DoseOutputs(node)
         self.markers = Markers(
             self.outputs.scene_markers, self.outputs.light_markers, self.inputs.meshes.store, self.inputs.lighting,
             lambda text: node.get_logger().warning(text, throttle_duration_sec=60.0),
         )  # fmt: skip
-        self.health = Health(self.label, self.inputs, self.frames, self.processor, self.queries)
-        self._services = Services(self)
+        self.health = Health(self.label, self.inputs, self.frames, self.processor, self.queries, self.exposure)
+        self._services = Services(self), DoseServices(self)
         self._guard = node.create_guard_condition(self.guarded(self._step))
         self._retry = self._timer(_RETRY_PERIOD, self._step)
         self._retry.cancel()
@@ -116,10 +121,12 @@ class Core:
         self.frames.close()
         self.inputs.queue.clear()
         self.queries.clear()
+        self.exposure.pause()
 
     def release(self) -> None:
         """Free the tracer and forget the meshes."""
         self.host.release()
+        self.exposure.release()
         self.health.device = DeviceState()
         self.inputs.meshes.clear(self.now_ns())
 
@@ -168,6 +175,7 @@ class Core:
             self.outputs.configure(new)
             self.inputs.configure(new)
             self.inputs.lighting.configure(old, new)
+            self.exposure.configure(old, new)
             if self.inputs.subscriptions:  # else the node is not active and listens to nothing, not to tf either
                 self.frames.configure(new)
             if (old.mesh_files, old.mesh_files_scale) != (new.mesh_files, new.mesh_files_scale):
@@ -197,6 +205,7 @@ class Core:
         self.health.time_jumps += 1
         self.inputs.restart(self.now_ns())
         self.frames.clear()
+        self.exposure.pause()
         self.node.get_logger().info(f"{why}: what waited, poses and ages are cleared", throttle_duration_sec=1.0)
 
     def _on_started(self, outcome: Outcome) -> None:
@@ -233,6 +242,7 @@ class Core:
         answer = self.processor.step(settings, tracer, now, self.now_ns())
         if answer is not None:
             self._publish(answer, settings)
+            self._expose(answer, settings, tracer)
             self._note_choice(tracer.choice)
         self.queries.step(
             settings, tracer, self.inputs.camera_frame, time.monotonic(), self.now_ns(), self.outputs.visibility.publish
@@ -243,6 +253,21 @@ class Core:
             self._retry.reset()
         else:
             self._retry.cancel()
+
+    def _expose(self, answer: Answer, settings: Settings, tracer: ShadowTracer) -> None:
+        """Count the time since the last image, if everything is known of both."""
+        if answer.missing is not None:
+            self.exposure.pause()
+            return
+        lights = answer.traced.lights if answer.traced is not None else ()
+        if self.exposure.note(settings, tracer, lights, self.now_ns()):
+            self.show_dose(answer.frame.image.header.stamp)
+
+    def show_dose(self, stamp: Any = None) -> None:
+        """Publish what parts have received; ``stamp``: None is now."""
+        world = world_name(self.settings, self.inputs.camera_frame)
+        stamp = self.node.get_clock().now().to_msg() if stamp is None else stamp
+        self.dose.publish(self.exposure, self.settings, stamp, world, time.monotonic())
 
     def _note_choice(self, choice: str) -> None:
         """Log when pipeline auto has changed its mind."""

@@ -28,6 +28,7 @@ from shadow_tracer.ros.node.inputs import Inputs
 from shadow_tracer.ros.node.processing import Processor, ignored_by_nobody
 from shadow_tracer.ros.node.queries import MOST_LIGHTS, Queries
 from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.world.exposure import Exposure
 from shadow_tracer.ros.world.frames import NO_TF, Frames
 
 _BUSY_WORDS = {
@@ -72,6 +73,7 @@ class Health:
     frames: Frames
     processor: Processor
     queries: Queries
+    exposure: Exposure
     device: DeviceState = field(default_factory=DeviceState)
     faults: Complaint = field(default_factory=Complaint)
     traced: int = 0
@@ -255,6 +257,8 @@ class Health:
                 f"{self._overflow.text} were needed, which costs time, no answer; start with a larger "
                 "bounds.queue_capacity, or bounds.grid_entries for light_grid"
             )
+        if self.exposure.trouble:
+            return self.exposure.trouble
         nobody = ignored_by_nobody(settings, self.inputs.meshes.store.parts)
         if nobody:
             return f"{nobody}; correct the name, or publish the part"

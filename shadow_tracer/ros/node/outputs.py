@@ -21,7 +21,7 @@ from shadow_tracer.ros.node.subscriptions import keeps_for_late_joiners
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.wire.messages import image_message
 
-_MASK, _SHARE = _KINDS = ("mask/", "visibility/")
+_MASK, _SHARE, _POWER = _KINDS = ("mask/", "visibility/", "irradiance/")
 _DEPTHS = {"lit": True, "shadowed": False}
 
 
@@ -29,9 +29,9 @@ class Outputs:
     """The publishers. Those of single lights come and go with the lights.
 
     Attributes:
-        lights, shares: the masks and the visible shares, by light.
-        infos: camera_info for them, by what stands before ``camera_info``: "mask/" and "visibility/" are those that
-            image_transport looks for beside every light's.
+        lights, shares, powers: the masks, the visible shares and the irradiances, by light.
+        infos: camera_info for them, by what stands before ``camera_info``: "mask/", "visibility/" and "irradiance/" are
+            those that image_transport looks for beside every light's.
     """
 
     def __init__(self, node: Node) -> None:
@@ -40,6 +40,7 @@ class Outputs:
         self.info = self._publisher(CameraInfo, "~/camera_info")
         self.bits = self._publisher(Image, "~/light_bits")
         self.overlay = self._publisher(Image, "~/overlay")
+        self.irradiance = self._publisher(Image, "~/irradiance")
         self.depths = {lit: self._publisher(Image, f"~/depth_{name}") for name, lit in _DEPTHS.items()}
         self.visibility = self._publisher(PointCloud2, "~/query/visibility", qos.burst())
         self.scene_markers = self._publisher(MarkerArray, "~/scene_markers", qos.latched())
@@ -48,12 +49,13 @@ class Outputs:
         self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
         self.lights: dict[str, Publisher] = {}
         self.shares: dict[str, Publisher] = {}
+        self.powers: dict[str, Publisher] = {}
         self.infos = {kind: self._publisher(CameraInfo, f"~/{kind}camera_info") for kind in _KINDS}
 
     def configure(self, settings: Settings) -> None:
-        """A mask topic and one of its visible share for each light, and none for others."""
+        """For each light a topic of its mask, of its visible share and of its irradiance, and none for others."""
         names = {light.name for light in settings.lights}
-        for kind, publishers in zip(_KINDS, (self.lights, self.shares), strict=True):
+        for kind, publishers in zip(_KINDS, (self.lights, self.shares, self.powers), strict=True):
             for name in set(publishers) - names:
                 self._node.destroy_publisher(publishers.pop(name))
                 self._node.destroy_publisher(self.infos.pop(f"{kind}{name}/"))
@@ -73,6 +75,9 @@ class Outputs:
             publisher = self.shares.get(name)
             if publisher is not None and _wanted(publisher):
                 images.append((publisher, answer.visibility(name), "32FC1"))
+        for publisher, light in [(self.irradiance, None), *((self.powers.get(name), name) for name in answer.enabled)]:
+            if publisher is not None and _wanted(publisher):
+                images.append((publisher, answer.irradiance(light), "32FC1"))
         for lit, publisher in self.depths.items():
             if _wanted(publisher):
                 depth = answer.depth(lit, settings.mask_dilate, settings.depth_unit)

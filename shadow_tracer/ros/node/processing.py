@@ -158,12 +158,14 @@ class Processor:
             None,
             tuple(light.name for light in settings.lights),
             tuple(light.name for light in settings.enabled_lights),
+            tuple(light.name for light in settings.enabled_lights if light.strength is not None),
             settings.unknown_value,
             traced,
             job.optics,
             watch.stages,
             numbers,
             job.optics.warning,
+            settings.uses_depth,
         )
 
     def _verify(
@@ -190,6 +192,7 @@ class Processor:
             missing,
             tuple(light.name for light in settings.lights),
             tuple(light.name for light in settings.enabled_lights),
+            tuple(light.name for light in settings.enabled_lights if light.strength is not None),
             settings.unknown_value,
             stages=watch.stages,
         )

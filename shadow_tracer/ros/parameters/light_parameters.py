@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from shadow_tracer import Strength
 from shadow_tracer.ros.parameters.parameter_rows import (
     BOOL,
     DOUBLE,
@@ -22,6 +23,7 @@ from shadow_tracer.ros.parameters.parameter_rows import (
 )
 from shadow_tracer.ros.settings import LIGHT_TYPES, LightSettings, SunSettings
 from shadow_tracer.ros.world.sun import parse_time
+from shadow_tracer.scene.strength import MODELS, QUANTITIES
 
 FRAME = re.compile(r"(?!/)\S+|")
 FRAME_TEXT = 'a tf frame without leading "/", or ""'
@@ -63,6 +65,24 @@ LIGHT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("ignore", STRINGS, ("",),
               "Parts that cast no shadow in this light, such as its housing: mesh, cloud, markers/<ns>/<id>, files/<n> "
               "(counted from 0) or depth; a name stands for all that begin with it and a slash. [''] is none."),
+    Parameter("power", DOUBLE, 0.0,
+              "Radiant flux of a light that has a position, of the wavelengths that matter; 0 is unknown. Of power, "
+              "intensity, exitance and irradiance one may be set; without one there is no irradiance.",
+              "W", 0.0, 1e9),
+    Parameter("intensity", DOUBLE, 0.0,
+              "Radiant intensity of a light that has a position, where it is largest, from far away; 0 is unknown.",
+              "W/sr", 0.0, 1e9),
+    Parameter("exitance", DOUBLE, 0.0,
+              "Radiant flux of each square metre of a sphere, disc, rectangle or tube; 0 is unknown.",
+              "W/m2", 0.0, 1e9),
+    Parameter("irradiance", DOUBLE, 0.0,
+              "Of a directional light or the sun, on a plane at right angles to it; 0 is unknown.", "W/m2", 0.0, 1e9),
+    Parameter("model", STRING, "",
+              "How intensity falls with the angle: alike everywhere, or with the cosine. Empty: lambert of lights with "
+              "a size, isotropic of point and spot.", allowed=("", *MODELS)),
+    Parameter("output", DOUBLE, 1.0,
+              "Factor of power, intensity, exitance or irradiance, for age, dirt, warming up and dimming.",
+              low=0.0, high=1.0),
     Parameter("sun.latitude", DOUBLE, 0.0,
               "Where the sun is seen from, north positive.", "deg", -90.0, 90.0),
     Parameter("sun.longitude", DOUBLE, 0.0,
@@ -89,9 +109,22 @@ def light_from(name: str, values: Mapping[str, Any]) -> LightSettings:
         raise ParameterError(f"lights.{name}.sun.time: {error}") from error
     sun = SunSettings(keys.pop("sun.latitude"), keys.pop("sun.longitude"), time)
     keys["ignore"] = tuple(part for part in keys["ignore"] if part)
-    light = LightSettings(name=name, sun=sun, **keys)
+    light = LightSettings(name=name, sun=sun, strength=_strength_from(name, keys), **keys)
     _check(light)
+    try:
+        light.light(np.eye(4))
+    except ValueError as error:  # a strength that this type cannot have
+        raise ParameterError(f"lights.{name}.{str(error).removeprefix('strength.')}") from error
     return light
+
+
+def _strength_from(name: str, keys: dict[str, Any]) -> Strength | None:
+    """Take what makes a strength out of the values by key."""
+    given = {quantity: value for quantity in QUANTITIES if (value := keys.pop(quantity)) > 0.0}
+    model, output = keys.pop("model") or None, keys.pop("output")
+    if len(given) > 1:
+        raise ParameterError(f"lights.{name}.{list(given)[1]}: expected 0 beside {list(given)[0]}, got both")
+    return Strength(**given, model=model, output=output) if given else None
 
 
 def _check(light: LightSettings) -> None:

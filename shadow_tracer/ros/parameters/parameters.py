@@ -29,6 +29,7 @@ from shadow_tracer.ros.parameters.parameter_rows import (
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.wire.messages import DISTORTION, MILLIMETRE
 from shadow_tracer.scene.bounds import LIMITS
+from shadow_tracer.scene.texels import SIDES
 
 __all__ = [
     "LIGHT_PARAMETERS",
@@ -173,6 +174,20 @@ PARAMETERS: tuple[Parameter, ...] = (
               "Entries of triangles in tiles (light_grid) or cells (of grids and trees); fewer cost time, "
               "never an answer.",
               low=1, high=LIMITS["grid_entries"], read_only=_BUFFER),
+    Parameter("dose.parts", STRINGS, ("",),
+              "Parts whose surface is watched for what it receives from lights with a strength: mesh, cloud, "
+              "markers/<ns>/<id>, files/<n>; [''] is none."),
+    Parameter("dose.target", DOUBLE, 280.0,
+              "Dose that is wanted; 10 J/m2 are 1 mJ/cm2.", "J/m2", 1e-6, 1e12),
+    Parameter("dose.goal", DOUBLE, 0.95,
+              "Share of the area at which dose/done says so.", low=0.0, high=1.0),
+    Parameter("dose.max_edge", DOUBLE, 0.1,
+              "Longest edge of the triangles that a part is cut into; another one begins again.", "m", 1e-4, 1e3),
+    Parameter("dose.side", STRING, "front",
+              "Which side of a part is watched, the front being that from which corners are seen counter-clockwise; "
+              "another one begins again.", allowed=SIDES),
+    Parameter("dose.folder", STRING, "",
+              "Where dose/save writes a file for each part, and dose/load reads them."),
     Parameter("diagnostics_period", DOUBLE, 1.0,
               "Time between two messages on /diagnostics, on a steady clock.", "s", 0.1, 1.0),
 )  # fmt: skip
@@ -250,7 +265,8 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     except ValueError as error:  # of two that do not fit together
         raise ParameterError(str(error)) from error
     del checked["light_names"]  # lights has them
-    checked["mesh.files"] = tuple(file for file in checked["mesh.files"] if file)
+    for name in ("mesh.files", "dose.parts"):
+        checked[name] = tuple(item for item in checked[name] if item)
     fields = {_FIELDS.get(name, name.replace(".", "_")): value for name, value in checked.items()}
     return Settings(**{**fields, "lights": lights})
 

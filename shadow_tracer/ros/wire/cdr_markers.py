@@ -31,6 +31,10 @@ def _no_points() -> npt.NDArray[np.float64]:
     return np.empty((0, 3))
 
 
+def _no_colors() -> npt.NDArray[np.float32]:
+    return np.empty((0, 4), np.float32)
+
+
 @dataclass(frozen=True, eq=False)
 class MarkerMessage:
     """A marker.
@@ -48,6 +52,7 @@ class MarkerMessage:
         frame_locked: it moves with its frame.
         points: (N, 3) float64 [m], in any byte order; may be a read-only view of the message that is not aligned.
         text: what it says; written, never read.
+        colors: (N, 4) float32 r, g, b, a of each point, or (0, 4); written, never read.
     """
 
     ns: str = ""
@@ -64,6 +69,7 @@ class MarkerMessage:
     frame_locked: bool = False
     points: npt.NDArray[np.float64] = field(default_factory=_no_points)
     text: str = ""
+    colors: npt.NDArray[np.float32] = field(default_factory=_no_colors)
 
 
 def parse_marker(data: bytes, max_triangles: int) -> MarkerMessage:
@@ -228,7 +234,7 @@ def _write(writer: Writer, marker: MarkerMessage) -> None:
     placement = (*marker.position, *marker.orientation, *marker.scale, *marker.color)
     writer.numbers(_PLACEMENT, 8, *placement, *divmod(marker.lifetime, _BILLION), marker.frame_locked)
     writer.array(points, "f8")
-    writer.numbers("I", 4, 0)  # colors
+    writer.array(np.asarray(marker.colors), "f4")
     writer.text("")  # texture_resource
     writer.numbers("iI", 4, 0, 0)  # texture
     writer.text("")

@@ -20,7 +20,7 @@ pytest.importorskip("yaml")
 
 from bag_maker import BagMaker, cloud, image, info, pixels, pose, read, transform
 
-from shadow_tracer import Bias, Bounds, Camera, DiscLight, PointLight, ShadowTracer, SpotLight
+from shadow_tracer import Bias, Bounds, Camera, DiscLight, DoseMap, PointLight, ShadowTracer, SpotLight, Strength
 from shadow_tracer.apps import cli
 from shadow_tracer.apps.bag import bag
 from shadow_tracer.ros.wire.cdr import encode_mesh
@@ -385,16 +385,20 @@ def test_the_part_of_a_light_that_is_seen(tmp_path: Path) -> None:
         light_names="[disc, bare]", lights__disc__type="disc", lights__disc__radius=0.2,
         lights__disc__position="[0.4, -0.3, 0.0]", lights__bare__ignore="[mesh]", bias__normal=0.0,
     )  # fmt: skip
-    found = run(still_life().write(tmp_path / "in"), tmp_path / "out.mcap", "--visibility", *lights)
+    lights += parameters(lights__disc__power=4.0)
+    found = run(still_life().write(tmp_path / "in"), tmp_path / "out.mcap", "--visibility", "--irradiance", *lights)
     (message,) = found["/shadow_tracer/visibility/disc"]
     assert (message.encoding, message.step) == ("32FC1", 4 * W)
     share = message.data.view(np.float32).reshape(H, W)
     tracer = ShadowTracer("brute_force", device="cpu", bounds=BOUNDS)
     tracer.scene.put("mesh", *plate())
-    disc = DiscLight("disc", (0.4, -0.3, 0.0), (0, 0, 1), 0.2)
+    disc = DiscLight("disc", (0.4, -0.3, 0.0), (0, 0, 1), 0.2, strength=Strength(power=4.0))
     frame = tracer.trace(depth_image(0), camera(np.eye(4)), [disc], bias=Bias(0.02, 0.003))
     np.testing.assert_array_equal(share, frame.visibility("disc"))
     assert ((share > 0) & (share < 1)).sum() > 20
+    for name in ("", "/disc"):
+        watts = found[f"/shadow_tracer/irradiance{name}"][0].data.view(np.float32).reshape(H, W)
+        np.testing.assert_array_equal(watts, frame.irradiance("disc"))
     bare = found["/shadow_tracer/visibility/bare"][0].data.view(np.float32).reshape(H, W)
     np.testing.assert_array_equal(bare, np.where(np.isnan(depth_image(0)), np.nan, 1.0))
 
@@ -591,3 +595,40 @@ def test_options_of_the_readme_example_exist() -> None:
     words = epilog.split("shadow_tracer bag")[1].replace("\\", "").split()
     chosen = bag._options().parse_args(words)
     assert chosen.bag == Path("drive.mcap") and len(chosen.remap) == 2
+
+
+def test_dose_of_a_recording(tmp_path: Path) -> None:
+    """By the time of the log; a pause of two seconds counts nothing; a file holds all of it in the end."""
+    made = BagMaker()
+    made.raw("/mesh", MESH, encode_mesh(*plate()))
+    for half_seconds in (0, 1, 2, 3, 7, 8, 9):
+        stamp = SECOND + half_seconds * SECOND // 2
+        made.now = 10**12 + half_seconds * SECOND // 2
+        made.add(INFO, info(W, H, stamp, FOCAL))
+        made.add(DEPTH, image(depth_image(0), stamp))
+    dose = parameters(
+        lights__lamp__power=10.0, dose__parts="[mesh, wall]", dose__side="both", dose__max_edge=0.2,
+        dose__folder=str(tmp_path), dose__target=0.01,
+    )  # fmt: skip
+    found = run(made.write(tmp_path / "in"), tmp_path / "out.mcap", *dose)
+    loaded = DoseMap.load(tmp_path / "mesh.dose.npz")
+    assert loaded.seconds == pytest.approx(2.0)
+    tracer = ShadowTracer("brute_force", device="cpu", bounds=BOUNDS)
+    tracer.scene.put("mesh", *plate())
+    expected = DoseMap(tracer, "mesh", 0.2, side="both")
+    expected.add([PointLight("lamp", (0.5, -0.5, 0.0), strength=Strength(power=10.0))], 2.0)
+    np.testing.assert_allclose(loaded.dose, expected.dose, rtol=1e-12)
+    coverage, done, clouds, markers = (
+        found[f"/shadow_tracer/dose/{name}"] for name in ("coverage", "done", "cloud", "markers")
+    )
+    assert len(coverage) == len(clouds) == 2 and coverage[1].data == pytest.approx(expected.coverage(0.01))
+    assert not done[1].data, "the part wall is not there"
+    rows = clouds[1].data.view(np.float32).reshape(-1, 6)
+    np.testing.assert_array_equal(rows[:, 4], loaded.dose.astype(np.float32))
+    assert clouds[1].header.frame_id == "camera" and markers[0].markers[0].ns == "dose/mesh"
+
+
+def test_a_dose_that_could_not_be_kept_is_told_before(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dose = parameters(dose__parts="[mesh]", dose__folder=str(tmp_path / "none"))
+    run(still_life().write(tmp_path / "in"), tmp_path / "out.mcap", *dose, expect=1)
+    assert "dose.folder: expected a folder" in capsys.readouterr().err

@@ -147,7 +147,8 @@ def test_camera_info_beside_every_mask_is_sent_to_listeners_with_the_header_of_t
     with Rig({"light_names": ["lamp", "other"], "lights.other.enabled": False}) as rig:
         sent: list[tuple[str, CameraInfo]] = []
         infos = rig.core.outputs.infos
-        names = {f"/shadow_tracer/{name}" for name in (*BESIDE, "mask/other/camera_info")}
+        kinds = ("mask", "visibility", "irradiance")
+        names = {f"/shadow_tracer/{kind}/{light}camera_info" for kind in kinds for light in ("", "lamp/", "other/")}
         assert {publisher.topic_name for publisher in infos.values()} == names
         for publisher in infos.values():
             publish, name = publisher.publish, publisher.topic_name.removeprefix("/shadow_tracer/")
@@ -155,7 +156,7 @@ def test_camera_info_beside_every_mask_is_sent_to_listeners_with_the_header_of_t
         rig.trace(wall())
         assert not sent  # nobody listens
         heard = {name: rig.collect(CameraInfo, f"shadow_tracer/{name}") for name in BESIDE}
-        rig.until(lambda: all(infos[key].get_subscription_count() for key in ("", "lamp")))
+        rig.until(lambda: all(infos[key].get_subscription_count() for key in ("mask/", "mask/lamp/")))
         assert rig.set(camera_info_policy="latest") == ""
         old = info_msg(WIDTH, HEIGHT, 17, frame="elsewhere")
         rig.info.publish(old)
@@ -169,7 +170,7 @@ def test_camera_info_beside_every_mask_is_sent_to_listeners_with_the_header_of_t
         assert rig.set(mask__publish="always", light_names=["other"], lights__other__enabled=True) == ""
         sent.clear()
         rig.trace(wall(), info=False)
-        assert set(infos) == {"", "other"}
+        assert set(infos) == {f"{kind}/{light}" for kind in kinds for light in ("", "other/")}
         assert [name for name, _ in sent] == ["mask/camera_info", "mask/other/camera_info"]
 
 
@@ -286,6 +287,6 @@ def test_pixels_without_a_ray_where_no_light_shines() -> None:
     info.distortion_model, info.d = "equidistant", [0.0] * 4
     optics = intrinsics(info, WIDTH, HEIGHT, raw=True)
     frame = WaitingFrame(image_msg(MILLIMETRES, 1), MILLIMETRES, 1, 0.0)
-    answer = Answer(frame, info, None, ("sun",), ("sun",), 7, optics=optics)
+    answer = Answer(frame, info, None, ("sun",), ("sun",), (), 7, optics=optics)
     assert optics.rays is not None and 1000 < optics.rays.known.sum() < optics.rays.known.size - 300
     np.testing.assert_array_equal(answer.mask(), np.where(optics.rays.known & (MILLIMETRES > 0), 0, 7))

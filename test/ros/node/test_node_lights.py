@@ -26,11 +26,13 @@ from shadow_tracer import (
     ShadowTracer,
     SphereLight,
     SpotLight,
+    Strength,
     SunDisc,
     TubeLight,
 )
 from shadow_tracer.ros.cameras.overlay import overlay
 from shadow_tracer.ros.diagnostics import ERROR, OK, PROCESSING, TRANSFORMS, WARN
+from shadow_tracer.ros.parameters.parameters import default_of
 from shadow_tracer.ros.wire.messages import rigid
 
 HALF = math.sqrt(0.5)
@@ -304,8 +306,41 @@ def test_the_part_of_a_light_that_is_seen(tracer: ShadowTracer, kind: str) -> No
         assert np.isnan(np.frombuffer(msg.data, np.float32)).all()
         assert rig.set(light_names=["sky"]) == ""
         assert "lamp" not in rig.core.outputs.shares and set(rig.core.outputs.infos) == {
-            f"{kind}/{name}" for kind in ("mask", "visibility") for name in ("", "sky/")
+            f"{kind}/{name}" for kind in ("mask", "visibility", "irradiance") for name in ("", "sky/")
         }
+
+
+def irradiance_of(rig: Rig, heard: list[Any], stamp: int) -> np.ndarray:
+    msg = rig.until(lambda: next((m for m in heard if nanoseconds(m.header.stamp) == stamp), None))
+    assert (msg.encoding, msg.step, msg.header.frame_id) == ("32FC1", 4 * WIDTH, "camera")
+    return np.frombuffer(msg.data, np.float32).reshape(HEIGHT, WIDTH)
+
+
+def test_irradiance_of_lights_with_a_strength(tracer: ShadowTracer) -> None:
+    """The library's numbers bit for bit; NaN where nothing is known and of lights that have no strength; ``output``
+    changes while the node runs; the depth image as occluder leaves normals to its fitted planes."""
+    lamp = DiscLight("lamp", (0.5, -0.5, 0.0), (0, 0, 1), 0.2, strength=Strength(power=4.0))
+    parameters = {"light_names": ["lamp", "dark"], "lights.lamp.type": "disc", "lights.lamp.radius": 0.2}
+    with Rig({**parameters, "lights.lamp.power": 4.0}) as rig:
+        heard = {name: rig.collect(Image, f"shadow_tracer/irradiance{name}") for name in ("", "/lamp", "/dark")}
+        rig.send_mesh(*plate())
+        depth = wall()
+        depth[0, 0] = np.nan
+        stamp = rig.send_frame(depth)
+        found = {name: irradiance_of(rig, messages, stamp) for name, messages in heard.items()}
+        expected = tracer.trace(depth, camera(), [lamp], bias=BIAS).irradiance("lamp")
+        np.testing.assert_array_equal(found["/lamp"], expected)
+        np.testing.assert_array_equal(found[""], expected)
+        assert np.isnan(found["/dark"]).all() and np.isnan(expected[0, 0]) and (expected > 0.0).sum() > 100
+        assert rig.set(lights__lamp__output=0.5) == ""
+        stamp = rig.send_frame(depth)
+        np.testing.assert_allclose(irradiance_of(rig, heard["/lamp"], stamp), 0.5 * expected, rtol=1e-6)
+        assert "power" in rig.set(lights__lamp__intensity=1.0)
+        assert rig.set(lights__lamp__type="directional").startswith("lights.lamp.power: a DirectionalLight has none")
+        assert rig.set(occluders="depth") == ""
+        stamp = rig.send_frame(depth)
+        lit = irradiance_of(rig, heard["/lamp"], stamp)
+        assert np.nanmedian(lit) == pytest.approx(0.5 * np.nanmedian(expected[expected > 0.0]), rel=0.5)
 
 
 def test_a_tube_and_a_panel_follow_the_pose_of_their_topic(tracer: ShadowTracer) -> None:
@@ -449,3 +484,33 @@ def test_the_overlay_shows_what_is_known(rig: Rig) -> None:
     unknown = shown(info=False)  # it does not stand still: nobody may take the last picture for the present
     np.testing.assert_array_equal(unknown, overlay(wall(), None, WIDTH, WIDTH, *centre))
     assert not np.array_equal(first, unknown)
+
+
+STRENGTHS: list[tuple[dict[str, Any], Any]] = [
+    ({"power": 4.0}, PointLight("lamp", (0.5, -0.5, 0.0), strength=Strength(power=4.0))),
+    ({"intensity": 2.0}, PointLight("lamp", (0.5, -0.5, 0.0), strength=Strength(intensity=2.0))),
+    (
+        {"type": "disc", "radius": 0.2, "exitance": 30.0, "model": "isotropic", "output": 0.5},
+        DiscLight(
+            "lamp", (0.5, -0.5, 0.0), (0, 0, 1), 0.2, strength=Strength(exitance=30.0, model="isotropic", output=0.5)
+        ),
+    ),
+    (
+        {"type": "directional", "irradiance": 900.0},
+        DirectionalLight("lamp", (0, 0, 1), strength=Strength(irradiance=900.0)),
+    ),
+]
+
+
+def test_every_parameter_of_a_strength(tracer: ShadowTracer) -> None:
+    with Rig() as rig:
+        heard = rig.collect(Image, "shadow_tracer/irradiance/lamp")
+        rig.send_mesh(*plate())
+        for group, light in STRENGTHS:
+            assert rig.set(**{f"lights__lamp__{key}": value for key, value in group.items()}) == ""
+            found = irradiance_of(rig, heard, rig.send_frame(wall()))
+            expected = tracer.trace(wall(), camera(), [light], bias=BIAS).irradiance()
+            np.testing.assert_array_equal(found, expected)
+            assert (found > 0.0).sum() > 100
+            off = {"type": "point", **{key: default_of(f"lights.lamp.{key}") for key in group}}
+            assert rig.set(**{f"lights__lamp__{key}": value for key, value in off.items()}) == ""

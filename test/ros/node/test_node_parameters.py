@@ -12,6 +12,8 @@ import numpy as np
 import probe
 import pytest
 import test_node_cameras
+import test_node_dose
+import test_node_lights
 import test_node_markers
 from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, nanoseconds, plate, wall
 from rclpy.parameter import Parameter
@@ -614,6 +616,14 @@ SHOWN_BELOW = {
     "process": test_process,
     "verify_every": test_verify_every,
     "diagnostics_period": test_diagnostics_period,
+    **{
+        f"lights.lamp.{key}": test_node_lights.test_every_parameter_of_a_strength
+        for key in ("power", "intensity", "exitance", "irradiance", "model", "output")
+    },
+    **{
+        f"dose.{key}": test_node_dose.test_dose_of_a_part
+        for key in ("parts", "target", "goal", "max_edge", "side", "folder")
+    },
     "bounds.max_triangles": test_bounds_that_refuse,
     "bounds.max_rays": test_bounds_that_refuse,
     "bounds.max_lights": test_bounds_max_lights,
