@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which pixels of a depth image does each light reach? Exact shadows of moving meshes at camera rate."""
 
+from shadow_tracer.cone_answers import Outcome
 from shadow_tracer.depth_camera import DepthCamera, render_depth
 from shadow_tracer.gpu.accelerators.registry import available_pipelines
 from shadow_tracer.scene.bias import Bias
@@ -35,6 +36,7 @@ __all__ = [
     "Frame",
     "HeightField",
     "Mesh",
+    "Outcome",
     "PointLight",
     "RectangleLight",
     "Scene",

@@ -49,9 +49,11 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
     ),
     "visibility": (_GPU + "visibility.packed_states", _GPU + "visibility.light_bits", "shadow_tracer.scene"),
     "point_answers": ("shadow_tracer.visibility", _GPU + "engine", "shadow_tracer.scene"),
+    "cone_answers": (_GPU + "engine", "shadow_tracer.scene"),
     "tracer": (
         "shadow_tracer.visibility",
         "shadow_tracer.point_answers",
+        "shadow_tracer.cone_answers",
         _REGISTRY,
         _GPU + "engine",
         _GPU + "device",
@@ -67,6 +69,7 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
     ),
     "__init__": (
         "shadow_tracer.visibility",
+        "shadow_tracer.cone_answers",
         "shadow_tracer.tracer",
         "shadow_tracer.depth_camera",
         _REGISTRY,
@@ -106,6 +109,7 @@ _FOREIGN = {
     "gpu": _ROS,
     "visibility": ("warp", *_ROS),
     "point_answers": ("warp", *_ROS),
+    "cone_answers": ("warp", *_ROS),
     "tracer": ("warp", *_ROS),
     "self_test": ("warp", *_ROS),
     "depth_camera": ("warp", *_ROS),
