@@ -87,7 +87,9 @@ def check_cones(apex: Any, target: Any, radius: Any, half_angle: Any, length: An
     """
     if (radius is None) == (half_angle is None):
         raise ValueError("radius: expected either radius or half_angle, got " + ("none" if radius is None else "both"))
-    wide = _sizes(radius, "radius", 0.0, LARGEST) if half_angle is None else _sizes(half_angle, "half_angle", 0.0, WIDEST)
+    wide = (
+        _sizes(radius, "radius", 0.0, LARGEST) if half_angle is None else _sizes(half_angle, "half_angle", 0.0, WIDEST)
+    )
     arrays = {"apex": _points(apex, "apex"), "target": _points(target, "target"), "radius": wide}
     if length is not None:
         arrays["length"] = _sizes(length, "length", _SHORTEST, LARGEST)
@@ -98,8 +100,9 @@ def check_cones(apex: Any, target: Any, radius: Any, half_angle: Any, length: An
     if lengths:
         ends = apices + (ends - apices) * (lengths[0] / far)[:, None]
         far = _lengths(ends - apices)
-        if (far < _SHORTEST).any():
-            at = _first(far < _SHORTEST)
+        wrong = ~(np.abs(far - lengths[0]) <= 1e-6 * lengths[0])
+        if wrong.any():
+            at = _first(wrong)
             raise ValueError(f"length: expected one that float64 can add to the apex, got {lengths[0][at]} at {at}")
     slopes = sizes / far if half_angle is None else np.tan(sizes)
     if half_angle is None and (slopes > np.tan(WIDEST)).any():

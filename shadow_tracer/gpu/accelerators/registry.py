@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from shadow_tracer.gpu.accelerators.bvh.cones import Cones
+    from shadow_tracer.gpu.accelerators.bvh.cones import Cones as Cones
     from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
     from shadow_tracer.gpu.occluders.world import SceneBuffers
 

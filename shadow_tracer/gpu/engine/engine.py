@@ -37,7 +37,7 @@ from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.mesh import Scene
 
 if TYPE_CHECKING:
-    from shadow_tracer.gpu.accelerators.bvh.cones import Cones
+    from shadow_tracer.gpu.accelerators.registry import Cones
 
 _Result = TypeVar("_Result")
 

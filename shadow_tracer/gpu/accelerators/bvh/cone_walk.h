@@ -19,7 +19,8 @@ struct ConeWalk {
     }
     // lean: of the half-lines, in parts of the distance along the axis, beyond what the cone has.
     inline ConeWalk(const ConeScene& scene, const Cone& cone, double slope, double lean)
-        : scene(scene), unit(1.0 / scene.tree.box.inverse_extent), after(0.0), wanted(HUGE_VAL), top(0), block(0), lane(TREE_LANES), spent(0), everything(false) {
+        : scene(scene), unit(1.0 / scene.tree.box.inverse_extent), after(0.0), wanted(HUGE_VAL), top(0), block(0),
+          lane(TREE_LANES), spent(0), everything(false) {
         const SceneBox& box = scene.tree.box;
         const double at[3] = { cone.apex.x.number, cone.apex.y.number, cone.apex.z.number };
         way[0] = cone.axis.x.number, way[1] = cone.axis.y.number, way[2] = cone.axis.z.number;
@@ -38,8 +39,8 @@ struct ConeWalk {
     inline void spread(double slope, double lean) {
         for (int k = 0; k < 3; ++k) {
             const double one = way[(k + 1) % 3], two = way[(k + 2) % 3];
-            const double aside = Arithmetic::mul(
-                slope, sqrt(Arithmetic::add(Arithmetic::mul(one, one), Arithmetic::mul(two, two))));
+            const double aside =
+                Arithmetic::mul(slope, sqrt(Arithmetic::add(Arithmetic::mul(one, one), Arithmetic::mul(two, two))));
             plus[k] = steep(Arithmetic::add(way[k], Arithmetic::add(aside, lean)));
             minus[k] = steep(Arithmetic::sub(way[k], Arithmetic::add(aside, lean)));
         }

@@ -15,9 +15,9 @@ away is shown every triangle. Slopes below 1e-20 are taken as that, which moves 
 *Nearest triangles.* What is inside the cone by roundings of the triangle's test may be outside by some 1e-8 of its
 distance (a square root of roundings, where an edge touches the cone), so ``ADDED`` is added to the slopes of the
 half-lines. Moreover a triangle counts if its own box is met as well, and its distance is moved into what the half-lines
-say of that box. All boxes around it hold it, and each operation of the half-lines is monotone: so they say that they are
-met, no later, and to no less far. A node that is left out holds no triangle that counts and is before the last one found,
-or behind the one after which is asked, whatever has been rounded: lists do not depend on the tree.
+say of that box. All boxes around it hold it, and each operation of the half-lines is monotone: so they say that they
+are met, no later, and to no less far. A node that is left out holds no triangle that counts and is before the last one
+found, or behind the one after which is asked, whatever has been rounded: lists do not depend on the tree.
 
 Outcomes are in ``cone_outcome.h``, docs/exactness.md proves them.
 """
@@ -153,8 +153,11 @@ class Cones:
         most: int,
         after: tuple[FloatArray, npt.NDArray[np.integer[Any]]] | None,
     ) -> tuple[npt.NDArray[np.int32], FloatArray]:
-        """(N, most) numbers of triangles, -1 where there are no more, and their distances [m], infinite there; ``ends``:
-        (N, 4), as ``ConesAsked`` has them; ``after``: distance and number of each cone's last that is not asked for."""
+        """(N, most) numbers of triangles, -1 where there are no more, and their distances [m], infinite there.
+
+        ``ends``: (N, 4), as ``ConesAsked`` has them; ``after``: distance and number of each cone's last that is not
+        asked for.
+        """
         numbers = np.full((len(apices), most), -1, np.int32)
         distances = np.full((len(apices), most), np.inf)
         if not self._scene.triangle_count:
