@@ -57,6 +57,16 @@ struct Cone {
         }
         return true;
     }
+    // Whether a triangle certainly misses the cone because both are apart along a way that is soon found: from the axis
+    // to the triangle's middle. Most do.
+    inline bool far_off(const wp::vec3d& p, const wp::vec3d& q, const wp::vec3d& r) const {
+        const Triple a = Triple(p) - apex, b = Triple(q) - apex, c = Triple(r) - apex, sum = a + b + c;
+        const Rounded one = a.dot(axis), two = b.dot(axis), three = c.dot(axis);
+        const Triple side = sum - axis * (one + two + three);
+        const Rounded steep = slope * side.length();
+        const Rounded pad = band * sum.sum() * (a.sum() + b.sum() + c.sum());
+        return side.dot(a) - steep * one > pad && side.dot(b) - steep * two > pad && side.dot(c) - steep * three > pad;
+    }
     // How far a point is outside of the plane that touches the cone on the side of `side`, a unit across the axis.
     inline Rounded outside(const Corner& c, const Triple& side) const { return side.dot(c.beside) - slope * c.along; }
     // A unit across the axis, of what is nearly so; false if there is none.

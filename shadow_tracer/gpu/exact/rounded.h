@@ -14,6 +14,7 @@ struct Rounded {
     inline bool operator<=(Rounded y) const { return number <= y.number; }
     inline bool operator>=(Rounded y) const { return number >= y.number; }
     inline bool operator==(Rounded y) const { return number == y.number; }
+    inline Rounded absolute() const { return Arithmetic::absolute(number); }
     inline Rounded root() const { return sqrt(number); }
 };
 // Three of them.
@@ -31,6 +32,8 @@ struct Triple {
     inline Triple cross(const Triple& o) const {
         return Triple(y * o.z - z * o.y, z * o.x - x * o.z, x * o.y - y * o.x);
     }
+    // Of what they are without their signs: at least the length.
+    inline Rounded sum() const { return x.absolute() + y.absolute() + z.absolute(); }
     inline Rounded length() const { return dot(*this).root(); }
     inline bool same(const Triple& o) const { return x == o.x && y == o.y && z == o.z; }
 };

@@ -31,7 +31,7 @@ struct ConeOutcome {
     inline bool show(int triangle) {
         const wp::vec3i& corners = scene.triangles.data[triangle];
         const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
-        if (!Cone::finite(p, q, r))
+        if (!Cone::finite(p, q, r) || cone.far_off(p, q, r))
             return false;
         const Cone::Corner a = cone.corner(p), b = cone.corner(q), c = cone.corner(r);
         if (cone.misses(a, b, c) || Cone::flat(p, q, r))
