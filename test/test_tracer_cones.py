@@ -324,3 +324,12 @@ def test_a_moving_scene_is_as_a_fresh_one(any_device: str, kernel_form: str, pip
             fresh.scene.put(mesh.name, mesh.vertices, mesh.triangles, mesh.pose)
         for mine, theirs in zip(answers(tracer), answers(fresh), strict=True):
             np.testing.assert_array_equal(mine, theirs)
+
+
+def test_a_sheet_that_reaches_through_the_end(any_device: str) -> None:
+    tracer = _tracer(any_device)
+    vertices, triangles = _plate(6)
+    slanted = vertices + [0.0, 0.0, 0.75] + np.outer(vertices[:, 0], [0.0, 0.0, 0.5])
+    tracer.scene.put("plate", slanted, triangles)
+    assert tracer.cones((0, 0, 0), _UP, 0.3) == _BLOCKED
+    assert tracer.cones((0, 0, 0), _UP, 0.9) == _PARTLY  # hidden on one side alone
