@@ -147,7 +147,7 @@ def measure(size: int, shares: tuple[float, ...], turns: int) -> list[dict[str, 
             ways = (ends_of_rays(some, ends, radii) - some[:, None]).reshape(-1, 3).astype(np.float32)
             starts = np.repeat(some, _RAYS, axis=0).astype(np.float32)
 
-            def rays(starts: Any = starts, ways: Any = ways) -> Any:
+            def rays(embree: Any = embree, starts: Any = starts, ways: Any = ways) -> Any:
                 # embreex shortens the lengths in place of returning distances.
                 return embree.run(starts, ways, dists=np.ones(len(ways), np.float32), query="OCCLUDED")
 

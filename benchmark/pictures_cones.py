@@ -39,7 +39,9 @@ def _ball(centre: tuple[float, float, float], radius: float, steps: int = 24) ->
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     width = np.sin(rise)
     width[[0, -1]] = 0.0
-    points = np.concatenate([np.column_stack([w * ring, np.full(len(ring), c)]) for w, c in zip(width, np.cos(rise))])
+    points = np.concatenate(
+        [np.column_stack([w * ring, np.full(len(ring), c)]) for w, c in zip(width, np.cos(rise), strict=True)]
+    )
     row, column = np.mgrid[:steps, : 2 * steps].reshape(2, -1)
     beside = (column + 1) % (2 * steps)
     a, b, c, d = (r * 2 * steps + k for r, k in ((row, column), (row + 1, column), (row + 1, beside), (row, beside)))

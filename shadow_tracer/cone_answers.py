@@ -102,8 +102,8 @@ class ConeAnswers:
         """The ``n`` triangles of each cone that are nearest to its apex, by distance and then by number.
 
         The distance of a triangle is how far along the axis its first point inside the cone is. It is rounded, as is
-        what is inside: by about 1e-15 of the numbers, and 1e-8 where an edge only just touches the cone. Of half angle 0
-        triangles are those that hide a light in the direction of the axis, exactly.
+        what is inside: by about 1e-15 of the numbers, and 1e-8 where an edge only just touches the cone. Of half angle
+        0 triangles are those that hide a light in the direction of the axis, exactly.
 
         Args:
             apex: (..., 3) positions in the world [m], finite.

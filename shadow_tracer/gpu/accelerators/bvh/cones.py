@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cones through the tree of ``bvh/sah``: what is certain of each, and the triangles nearest to its apex (after Wiche and
-Kuri 2020: "Performance Evaluation of Acceleration Structures for Cone-Tracing Traversal").
+"""Cones through the tree of ``bvh/sah``: what is certain of each, and the triangles nearest to its apex.
 
-One thread takes a cone, through the tree with two children per node, nearer child first, in either form.
+After Wiche and Kuri 2020: "Performance Evaluation of Acceleration Structures for Cone-Tracing Traversal". One thread
+takes a cone, through the tree with two children per node, nearer child first, in either form.
 
 *Boxes.* A box is met if, at some distance t along the axis up to the cone's length, it meets the box of the disc there:
 o + t (v + w) >= low and o + t (v - w) <= high on each axis, where w = tan(half angle) sqrt(1 - v^2). These are six
 half-lines of t, all linear: no cases, and flat boxes and an apex inside need no care. All is in units of the scene's
 extent E. Boxes are padded by 2^-19 (``segment.py``) and rounded outwards, so 27 * 2^-24 are left for the walk. It works
 in float64, u = 2^-53: the origin is off by 3 u |o|, v and w by 8 u (1 + tan) t, t by 3 u relative, which moves a point
-by 3 u (|o| + 1 + 2^-19); with |o| <= 2^20 = ``FAR_AWAY`` and tan <= 15 that is below 2^-24 together. A cone from farther
-away is shown every triangle. Slopes below 1e-20 are taken as that, which moves points by less than 1e-13.
+by 3 u (|o| + 2); with |o| <= 2^20 = ``FAR_AWAY`` and tan <= 15 that is below 2^-24 together. A cone from farther away
+is shown every triangle. Slopes below 1e-20 are taken as that, which moves points by less than 1e-13.
 
 *Nearest triangles.* What is inside the cone by roundings of the triangle's test may be outside by some 1e-8 of its
 distance (a square root of roundings, where an edge touches the cone), so ``ADDED`` is added to the slopes of the
