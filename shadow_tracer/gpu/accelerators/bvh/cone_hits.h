@@ -79,7 +79,7 @@ struct ConeHits {
         const Triple to(wp::vec3d(end[0], end[1], end[2]));
         const Triple way = end[3] == 0.0 ? to : to - Triple(from);
         const Cone cone(from, way, slope, end[3] == 0.0 ? ConeWalk::reach(scene, from) : way.length().number);
-        ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope));
+        ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope), false);
         walk.after = asked.after.data[number];
         const size_t at = asked.most * (size_t)number;
         ConeHits hits = { scene,

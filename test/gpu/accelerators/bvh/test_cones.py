@@ -18,7 +18,7 @@ _CALL = """
 const wp::vec3d& end = ends.data[i];
 const Triple way = Triple(end) - Triple(apices.data[i]);
 const Cone cone(apices.data[i], way, slopes.data[i], way.length().number);
-const ConeWalk walk(scene, cone, slopes.data[i], 0.0);
+const ConeWalk walk(scene, cone, slopes.data[i], 0.0, false);
 double in, out;
 const bool met = walk.meets(boxes.data + 8 * i, in, out);
 found.data[i] = wp::vec3d(met ? 1.0 : 0.0, in, out);
