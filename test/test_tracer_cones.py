@@ -333,3 +333,8 @@ def test_a_sheet_that_reaches_through_the_end(any_device: str) -> None:
     tracer.scene.put("plate", slanted, triangles)
     assert tracer.cones((0, 0, 0), _UP, 0.3) == _BLOCKED
     assert tracer.cones((0, 0, 0), _UP, 0.9) == _PARTLY  # hidden on one side alone
+    corners = np.array([(-90.0, -90.0, 2.0), (90.0, -90.0, 2.0), (0.0, 90.0, 2.0)])
+    for height, outcome in ((-0.5, _BLOCKED), (-0.2, _PARTLY), (0.0, _PARTLY), (0.2, _PARTLY), (0.5, _FREE)):
+        one = corners + np.outer(corners[:, 0], [0.0, 0.0, 0.5]) + [0.0, 0.0, height]
+        tracer.scene.put("plate", one, [(0, 1, 2)])
+        assert tracer.cones((0, 0, 0), _UP, 0.6) == outcome, height

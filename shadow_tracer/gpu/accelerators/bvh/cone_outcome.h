@@ -85,6 +85,7 @@ struct ConeOutcome {
         const Triple way = Triple(wp::vec3d(end[0], end[1], end[2])) - Triple(from);
         const Cone cone(from, way, slope, way.length().number);
         ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope), true);
+        walk.budget = asked.budget;
         ConeOutcome outcome = { scene, cone, wp::vec4d(from[0], from[1], from[2], 0.0), end, false, false, false };
         const int found = slope == 0.0 ? outcome.whole_ray(walk, asked.budget) : outcome.whole(walk, asked.budget);
         asked.outcomes.data[number] = (unsigned char)found;

@@ -22,6 +22,7 @@ struct ConeWalk {
     int top, block, lane; // the next triangle is that of a lane, or without a tree the one of that number
     int spent;            // nodes visited and triangles shown
     bool everything;
+    int budget; // goes on to `spent`, or one block further
 
     static inline double steep(double slope) {
         return 1.0 / (Arithmetic::absolute(slope) < 1.0e-20 ? (slope < 0.0 ? -1.0e-20 : 1.0e-20) : slope);
@@ -30,7 +31,7 @@ struct ConeWalk {
     // together: on the CPU look at sixteen boxes and triangles at a time, in float32, where the apex is near enough.
     inline ConeWalk(const ConeScene& scene, const Cone& cone, double slope, double lean, bool together)
         : scene(scene), unit(1.0 / scene.tree.box.inverse_extent), after(0.0), wanted(HUGE_VAL), together(together),
-          top(0), block(0), lane(TREE_LANES), spent(0), everything(false) {
+          top(0), block(0), lane(TREE_LANES), spent(0), everything(false), budget(1 << 30) {
         const SceneBox& box = scene.tree.box;
         const double at[3] = { cone.apex.x.number, cone.apex.y.number, cone.apex.z.number };
         way[0] = cone.axis.x.number, way[1] = cone.axis.y.number, way[2] = cone.axis.z.number;
@@ -107,7 +108,7 @@ struct ConeWalk {
                     return member;
                 }
             }
-            if (!top)
+            if (!top || spent > budget)
                 return -1;
             if (Arithmetic::mul(waiting[--top], unit) > wanted)
                 continue;
@@ -225,7 +226,7 @@ struct ConeWalk {
                     return member;
                 }
             }
-            if (!top)
+            if (!top || spent > budget)
                 return -1;
             const int node = nodes[--top];
             ++spent;

@@ -36,7 +36,7 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
     ),
     "sheets through the end": (_OUTCOMES, "reaches_through", (_OUTCOME, "|| !cone.before_end(a, b, c, plane)", "")),
     "triangles without area": (_OUTCOMES, "casts_nothing", (_OUTCOME, "|| Cone::flat(p, q, r)", "")),
-    "no budget": (
+    "answers of a budget that was too small": (
         _OUTCOMES,
         "budget",
         (_OUTCOME, "if (walk.spent > budget)\n            return CONE_PARTLY;\n        return !met", "return !met"),
@@ -46,7 +46,12 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
         "sheet_hide",
         ("exact/cone.h", "return cut_by(p) && on_side", "return on_side"),
     ),
-    "bands of nothing": (_OUTCOMES, "rims", ("accelerators/bvh/cones.py", "CONE_BAND=1e-13", "CONE_BAND=0.0")),
+    "bands that forgive": (_OUTCOMES, "rims", ("accelerators/bvh/cones.py", "CONE_BAND=1e-13", "CONE_BAND=-1e-13")),
+    "rough bands that forgive": (
+        _OUTCOMES,
+        "rims",
+        ("accelerators/bvh/cones.py", "CONE_ROUGH=2.0**-17", "CONE_ROUGH=-0.1"),
+    ),
     "ties in any order": (
         _HITS,
         "order",
@@ -57,10 +62,15 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
         "order",
         (_WALK, "Arithmetic::mul(out, unit) >= after", "Arithmetic::mul(in, unit) >= after"),
     ),
-    "half-lines a little too narrow": (
+    "half-lines of the axis alone": (
         _BOXES,
         "rejected",
-        (_WALK, "const double aside = Arithmetic::mul(", "const double aside = 0.999 * Arithmetic::mul("),
+        (_WALK, "plus[k] = steep(Arithmetic::add(way[k], Arithmetic::add(aside, lean)));", "plus[k] = steep(way[k]);"),
+    ),
+    "sixteen boxes by the axis alone": (
+        _OUTCOMES,
+        "beside_rays",
+        (_WALK, "most[k] = (float)plus[k];", "most[k] = (float)steep(way[k]);"),
     ),
 }
 
