@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which pixels of a depth image does each light reach? Exact shadows of moving meshes at camera rate."""
 
+from shadow_tracer.cone_answers import Outcome
 from shadow_tracer.depth_camera import DepthCamera, render_depth
 from shadow_tracer.dose import DoseMap
 from shadow_tracer.frame_surface import NormalSource
@@ -43,6 +44,7 @@ __all__ = [
     "IntensityTable",
     "Mesh",
     "NormalSource",
+    "Outcome",
     "Plan",
     "PointLight",
     "RectangleLight",

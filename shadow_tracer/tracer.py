@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from shadow_tracer.cone_answers import ConeAnswers
 from shadow_tracer.frame_surface import FrameSurface
 from shadow_tracer.gpu.accelerators.registry import AUTO, available_pipelines, resolve
 from shadow_tracer.point_answers import PointAnswers
@@ -28,7 +29,7 @@ from shadow_tracer.visibility import Frame
 _VERIFIERS = ("mesh_bvh", "light_grid", "cone_hierarchy")  # that verify, if none is named
 
 
-class ShadowTracer(PointAnswers):
+class ShadowTracer(PointAnswers, ConeAnswers):
     """Finds shadows on one device. Not thread-safe: one tracer, one thread.
 
     A frame ends or has never been: after an exception in the middle of one (Ctrl-C, a signal handler that raises) its

@@ -47,7 +47,7 @@ def refuse_mask(value: Any, field: str) -> None:
         raise ValueError(f"{field}: expected an array without masked values, got {count}; fill or leave them out first")
 
 
-def _reals(value: Any, field: str, expected: str) -> FloatArray:
+def reals(value: Any, field: str, expected: str) -> FloatArray:
     """``value`` as a float64 array. Texts, truth values and complex numbers are refused, not converted."""
     refuse_mask(value, field)
     try:
@@ -61,7 +61,7 @@ def _reals(value: Any, field: str, expected: str) -> FloatArray:
 
 def vector3(value: Any, field: str) -> FloatArray:
     """Return ``value`` as three finite float64 numbers, or raise ValueError naming ``field``."""
-    vector = _reals(value, field, "three finite numbers")
+    vector = reals(value, field, "three finite numbers")
     if vector.shape != (3,) or not (np.abs(vector) <= LARGEST).all():
         raise ValueError(f"{field}: expected three finite numbers of at most {LARGEST:g}, got {value!r}")
     return vector
@@ -148,7 +148,7 @@ def unusable_vertices(
 def rigid_pose(value: Any, field: str) -> FloatArray:
     """Return ``value`` as a 4x4 rigid transform: finite, last row 0 0 0 1, rotation orthonormal within 1e-6,
     determinant +1."""
-    pose = _reals(value, field, "a 4x4 rigid transform")
+    pose = reals(value, field, "a 4x4 rigid transform")
     if pose.shape != (4, 4):
         raise ValueError(f"{field}: expected a 4x4 rigid transform, got shape {pose.shape}")
     if not (np.abs(pose) <= LARGEST).all():

@@ -10,7 +10,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from shadow_tracer.gpu.accelerators.bvh.cones import Cones as Cones
     from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
+    from shadow_tracer.gpu.occluders.world import SceneBuffers
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,12 @@ def resolve(pipeline: str, variant: str | None) -> tuple[str, str]:
     if variant not in variants:
         raise ValueError(f"variant: expected one of {', '.join(variants)} for pipeline {pipeline}, got {variant!r}")
     return pipeline, variant
+
+
+def cones(scene: SceneBuffers) -> Cones:
+    """What answers questions about cones over a scene, whatever pipeline traces its frames."""
+    found: Cones = import_module("shadow_tracer.gpu.accelerators.bvh.cones").Cones(scene)
+    return found
 
 
 def side_by_side(pipeline: str, variant: str) -> bool:

@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.registry import AUTO
+from shadow_tracer.gpu.accelerators.registry import AUTO, cones
 from shadow_tracer.gpu.device.graphs import can_record, end_recording
 from shadow_tracer.gpu.device.seats import Seat
 from shadow_tracer.gpu.device.workers import Workers
@@ -36,6 +36,9 @@ from shadow_tracer.scene.checks import BoundsError, FloatArray
 from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.mesh import Scene
 
+if TYPE_CHECKING:
+    from shadow_tracer.gpu.accelerators.registry import Cones
+
 _Result = TypeVar("_Result")
 
 
@@ -46,6 +49,7 @@ class _Inside:
     scene: SceneBuffers
     tracers: list[FrameTracer]  # of each set of samples
     verifier: FrameTracer | None = None  # of another pipeline, which shares nothing but the scene
+    cones: Cones | None = None  # once somebody has asked about one
 
     def all(self) -> list[FrameTracer]:
         """Those of the sets, and the verifier."""
@@ -263,6 +267,20 @@ class Engine:
             FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid, cull=cull
         )
         return self._trace(trace, verify, frames, samples)
+
+    def ask_cones(self, scene: Scene, question: Callable[[Cones], _Result]) -> _Result:
+        """What ``question`` finds out of what answers questions about cones, over the scene as it is."""
+
+        def ask(inside: _Inside) -> _Result:
+            inside.scene.sync(scene)
+            if inside.cones is None:
+                inside.cones = inside.scene.made.take("cones", lambda: cones(inside.scene))
+            found = question(inside.cones)
+            if inside.scene.triangle_count:
+                self._seat.loaded.add("cones")
+            return found
+
+        return self._whole(ask, ["cones"])
 
     def _trace(
         self, trace: Callable[[FrameTracer], Traced], verify: bool, frames: Sequence[Kind], samples: str | None

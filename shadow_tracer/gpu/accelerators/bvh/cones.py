@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cones through the tree of ``bvh/sah``: what is certain of each, and the triangles nearest to its apex.
+
+After Wiche and Kuri 2020: "Performance Evaluation of Acceleration Structures for Cone-Tracing Traversal". One thread
+takes a cone, through the tree with two children per node, nearer child first, in either form.
+
+*Boxes.* A box is met if, at some distance t along the axis up to the cone's length, it meets the box of the disc there:
+o + t (v + w) >= low and o + t (v - w) <= high on each axis, where w = tan(half angle) sqrt(1 - v^2). These are six
+half-lines of t, all linear: no cases, and flat boxes and an apex inside need no care. All is in units of the scene's
+extent E. Boxes are padded by 2^-19 (``segment.py``) and rounded outwards, so 27 * 2^-24 are left for the walk. It works
+in float64, u = 2^-53: the origin is off by 3 u |o|, v and w by 8 u (1 + tan) t, t by 3 u relative, which moves a point
+by 3 u (|o| + 2); with |o| <= 2^20 = ``FAR_AWAY`` and tan <= 15 that is below 2^-24 together. A cone from farther away
+is shown every triangle. Slopes below 1e-20 are taken as that, which moves points by less than 1e-13.
+
+*Nearest triangles.* What is inside the cone by roundings of the triangle's test may be outside by some 1e-8 of its
+distance (a square root of roundings, where an edge touches the cone), so ``ADDED`` is added to the slopes of the
+half-lines. Moreover a triangle counts if its own box is met as well, and its distance is moved into what the half-lines
+say of that box. All boxes around it hold it, and each operation of the half-lines is monotone: so they say that they
+are met, no later, and to no less far. A node that is left out holds no triangle that counts and is before the last one
+found, or behind the one after which is asked, whatever has been rounded: lists do not depend on the tree.
+
+Outcomes are in ``cone_outcome.h``, docs/exactness.md proves them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from shadow_tracer.gpu.accelerators.bvh.bvh import Bvh
+from shadow_tracer.gpu.accelerators.bvh.tree import Tree
+from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.device.stages import Stages
+from shadow_tracer.gpu.device.transfers import Uploads
+from shadow_tracer.gpu.occluders.neighbours import Neighbours
+from shadow_tracer.gpu.occluders.world import SceneBuffers
+from shadow_tracer.scene.checks import FloatArray
+
+FREE, PARTLY, BLOCKED = 0, 1, 2
+# Cones asked about at once, and places of their lists.
+PIECE, PLACES = 1 << 16, 1 << 19
+MOST_HITS = 4096
+NO_BUDGET = 2**31 - 1
+native.constants(CONE_FREE=FREE, CONE_PARTLY=PARTLY, CONE_BLOCKED=BLOCKED)
+native.constants(CONE_FAR_AWAY=2.0**20, CONE_ADDED=1e-6, CONE_BAND=1e-13, CONE_ROUGH=2.0**-17)
+
+
+@wp.struct
+class ConeScene:
+    """What cones go through."""
+
+    tree: Tree
+    count: int  # triangles
+    vertices: wp.array(dtype=wp.vec3d)
+    triangles: wp.array(dtype=wp.vec3i)
+    neighbours: wp.array(dtype=wp.vec3i)  # of each edge 3 * triangle + edge of the one beside, or -1
+    numbers: wp.array(dtype=int)  # of triangles, as the scene counts them
+
+
+@wp.struct
+class ConesAsked:
+    """Cones, and what is found."""
+
+    apices: wp.array(dtype=wp.vec3d)
+    ends: wp.array(dtype=wp.vec4d)  # 1 after the end, or 0 after a direction of cones without one
+    slopes: wp.array(dtype=wp.float64)
+    budget: int  # nodes and triangles of each
+    outcomes: wp.array(dtype=wp.uint8)
+    most: int  # triangles of a list
+    after: wp.array(dtype=wp.float64)  # the distance and number of the last that is not asked for
+    after_numbers: wp.array(dtype=int)
+    distances: wp.array(dtype=wp.float64)
+    numbers: wp.array(dtype=int)
+
+
+@native.func_native("accelerators/bvh/cone_outcome.h", calls="ConeOutcome::of")
+def outcome_of(number: int, scene: ConeScene, asked: ConesAsked): ...
+
+
+@native.func_native("accelerators/bvh/cone_hits.h", calls="ConeHits::of")
+def hits_of(number: int, scene: ConeScene, asked: ConesAsked): ...
+
+
+@wp.kernel(enable_backward=False)
+def find_outcomes(scene: ConeScene, asked: ConesAsked):
+    """A cone a thread."""
+    outcome_of(wp.tid(), scene, asked)
+
+
+@wp.kernel(enable_backward=False)
+def find_hits(scene: ConeScene, asked: ConesAsked):
+    """A cone a thread."""
+    hits_of(wp.tid(), scene, asked)
+
+
+class Cones:
+    """Answers questions about cones over a scene.
+
+    Args:
+        scene: the world, whose ``bounds`` say how much there may be.
+    """
+
+    def __init__(self, scene: SceneBuffers) -> None:
+        self._scene, device = scene, scene.device
+        self._build: Bvh = scene.made.take((Bvh, "sah"), lambda: Bvh("sah", scene))
+        self._neighbours = Neighbours(scene)
+        self._stages, self._upload = Stages(device), Uploads(device)
+        asked = self._asked = ConesAsked()
+        asked.apices = wp.empty(PIECE, dtype=wp.vec3d, device=device)
+        asked.ends = wp.empty(PIECE, dtype=wp.vec4d, device=device)
+        asked.slopes = wp.empty(PIECE, dtype=wp.float64, device=device)
+        asked.outcomes = wp.empty(PIECE, dtype=wp.uint8, device=device)
+        asked.after = wp.empty(PIECE, dtype=wp.float64, device=device)
+        asked.after_numbers = wp.empty(PIECE, dtype=int, device=device)
+        asked.distances = wp.empty(PLACES, dtype=wp.float64, device=device)
+        asked.numbers = wp.empty(PLACES, dtype=int, device=device)
+
+    def follow(self) -> ConeScene:
+        """What cones go through, of the scene as it is, which has triangles."""
+        scene, made = self._scene, ConeScene()
+        self._build.follow(self._stages)
+        self._neighbours.follow()
+        made.tree, made.count = self._build.structure, scene.triangle_count
+        made.vertices, made.triangles = scene.vertices, scene.triangles
+        made.neighbours, made.numbers = self._neighbours.across, self._neighbours.numbers
+        return made
+
+    def outcomes(
+        self, apices: FloatArray, ends: FloatArray, slopes: FloatArray, budget: int | None
+    ) -> npt.NDArray[np.uint8]:
+        """(N,) FREE, PARTLY or BLOCKED for cones with apices (N, 3), ends (N, 3) and tangents of half angles (N,)."""
+        found = np.full(len(apices), FREE, np.uint8)
+        if not self._scene.triangle_count:
+            return found
+        scene, asked = self.follow(), self._asked
+        asked.budget = NO_BUDGET if budget is None else min(budget, NO_BUDGET)
+        for first in range(0, len(apices), PIECE):
+            piece = slice(first, min(first + PIECE, len(apices)))
+            count = self._put(apices[piece], np.insert(ends[piece], 3, 1.0, axis=1), slopes[piece])
+            wp.launch(find_outcomes, dim=count, inputs=[scene, asked], device=self._scene.device)
+            found[piece] = asked.outcomes[:count].numpy()
+        self._judge()
+        return found
+
+    def hits(
+        self,
+        apices: FloatArray,
+        ends: FloatArray,
+        slopes: FloatArray,
+        most: int,
+        after: tuple[FloatArray, npt.NDArray[np.integer[Any]]] | None,
+    ) -> tuple[npt.NDArray[np.int32], FloatArray]:
+        """(N, most) numbers of triangles, -1 where there are no more, and their distances [m], infinite there.
+
+        ``ends``: (N, 4), as ``ConesAsked`` has them; ``after``: distance and number of each cone's last that is not
+        asked for.
+        """
+        numbers = np.full((len(apices), most), -1, np.int32)
+        distances = np.full((len(apices), most), np.inf)
+        if not self._scene.triangle_count:
+            return numbers, distances
+        scene, asked, together = self.follow(), self._asked, min(PIECE, PLACES // most)
+        asked.most = most
+        for first in range(0, len(apices), together):
+            piece = slice(first, min(first + together, len(apices)))
+            count = self._put(apices[piece], ends[piece], slopes[piece])
+            last = (np.full(count, -1.0), np.full(count, -1)) if after is None else (after[0][piece], after[1][piece])
+            self._upload(asked.after, np.ascontiguousarray(last[0], np.float64))
+            self._upload(asked.after_numbers, np.ascontiguousarray(last[1], np.int32))
+            wp.launch(find_hits, dim=count, inputs=[scene, asked], device=self._scene.device)
+            numbers[piece] = asked.numbers[: count * most].numpy().reshape(count, most)
+            distances[piece] = asked.distances[: count * most].numpy().reshape(count, most)
+        self._judge()
+        return numbers, distances
+
+    def _put(self, apices: FloatArray, ends: FloatArray, slopes: FloatArray) -> int:
+        self._upload(self._asked.apices, np.ascontiguousarray(apices))
+        self._upload(self._asked.ends, np.ascontiguousarray(ends))
+        self._upload(self._asked.slopes, np.ascontiguousarray(slopes))
+        return len(apices)
+
+    def _judge(self) -> None:
+        """Let the tree know how bad it is, as frames do: it may only ever be asked about cones."""
+        self._build.tree.judge(self._build.tree.areas.numpy())
+
+    def nbytes(self) -> int:
+        """Bytes on the device beside the tree."""
+        asked = self._asked
+        arrays = (asked.apices, asked.ends, asked.slopes, asked.outcomes, asked.after, asked.after_numbers)
+        own = sum(int(array.capacity) for array in (*arrays, asked.distances, asked.numbers))
+        return own + self._neighbours.nbytes()
