@@ -19,6 +19,8 @@ from shadow_tracer.scene.lights import (
 )
 from shadow_tracer.scene.mesh import Mesh, Scene
 from shadow_tracer.scene.surface import HeightField
+from shadow_tracer.terrain.sunlight import sunlight
+from shadow_tracer.terrain.suns import Place
 from shadow_tracer.tracer import ShadowTracer
 from shadow_tracer.visibility import Frame, State
 
@@ -35,6 +37,7 @@ __all__ = [
     "Frame",
     "HeightField",
     "Mesh",
+    "Place",
     "PointLight",
     "RectangleLight",
     "Scene",
@@ -46,4 +49,5 @@ __all__ = [
     "TubeLight",
     "available_pipelines",
     "render_depth",
+    "sunlight",
 ]

@@ -65,8 +65,10 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
         _GPU + "device",
         "shadow_tracer.scene",
     ),
+    "terrain": ("shadow_tracer.tracer", "shadow_tracer.scene"),
     "__init__": (
         "shadow_tracer.visibility",
+        "shadow_tracer.terrain",
         "shadow_tracer.tracer",
         "shadow_tracer.depth_camera",
         _REGISTRY,
@@ -81,6 +83,7 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
     "ros/node": (*_BELOW_ROS, *_FOR_ALL, *(_ROS_ROOM + room for room in ("wire", "world", "cameras", "parameters"))),
     "apps": ("shadow_tracer.ros", "shadow_tracer.self_test", "shadow_tracer.tracer", _REGISTRY, "shadow_tracer.scene"),
     "apps/bag": ("shadow_tracer.ros", *_BELOW_ROS),
+    "apps/terrain": ("shadow_tracer.terrain", "shadow_tracer.scene"),
     "apps/demo": ("shadow_tracer.ros", "shadow_tracer.depth_camera", *_BELOW_ROS),
     "testing": (
         "shadow_tracer.testing",
@@ -109,6 +112,7 @@ _FOREIGN = {
     "tracer": ("warp", *_ROS),
     "self_test": ("warp", *_ROS),
     "depth_camera": ("warp", *_ROS),
+    "terrain": ("warp", *_ROS),
     "__init__": ("warp", *_ROS),
     "ros": ("warp",),
     "apps": ("warp",),
