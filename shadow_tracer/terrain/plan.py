@@ -28,7 +28,7 @@ Read = Callable[[Window], FloatArray]
 """(R, C) float64 heights of some rows and columns [m], NaN where there is none."""
 
 _SPARE = 2  # cells, around what a sun needs: the cell that it ends in, and the neighbour that a slope needs
-BYTES_A_CELL = 500
+BYTES_A_CELL = 400
 """What a cell of a block costs at most, on the host and on the device together: positions twice, their checks, the
 scene's copy, 56 bytes of the surface and 12 of a sun (``height_field.py``)."""
 BYTES_A_SAMPLE = 400
@@ -52,13 +52,14 @@ class Plan:
 
     Attributes:
         grid, suns, above: as in :class:`Tile`.
-        ceiling: the highest known height, after curvature [m]; NaN where no height is known.
+        floor, ceiling: the lowest and the highest known height, after curvature [m]; NaN where none is known.
         tiles: row by row.
     """
 
     grid: Grid
     suns: Suns
     above: float
+    floor: float
     ceiling: float
     tiles: tuple[Planned, ...]
 
@@ -70,10 +71,11 @@ class Plan:
     def tile(self, number: int, read: Read) -> Tile:
         """A tile with its heights."""
         which = self.tiles[number]
+        ground = self.floor, self.ceiling
+        heights, sides = read(which.block), which.open_sides
         return Tile(
-            self.grid, which.block, read(which.block), which.answered, which.open_sides, self.ceiling, self.suns,
-            which.unsure, self.above,
-        )  # fmt: skip
+            self.grid, which.block, heights, which.answered, sides, *ground, self.suns, which.unsure, self.above
+        )
 
     @property
     def largest(self) -> tuple[int, int]:
@@ -129,12 +131,13 @@ def make_plan(
         known = z[~np.isnan(z)]
         lowest.append(float(known.min()) if known.size else math.nan)
         highest = max(highest, float(known.max())) if known.size else highest
-    ceiling = highest if math.isfinite(highest) else math.nan
+    some = math.isfinite(highest)
+    floor, ceiling = (float(np.nanmin(lowest)), highest) if some else (math.nan, math.nan)
     planned = [
         _planned(grid, suns, tile, ceiling - low - above, most, beyond == "nothing")
         for tile, low in zip(tiles, lowest, strict=True)
     ]
-    return Plan(grid, suns, above, ceiling, tuple(planned))
+    return Plan(grid, suns, above, floor, ceiling, tuple(planned))
 
 
 def _planned(grid: Grid, suns: Suns, tile: Window, relief: float, most: int, nothing: bool) -> Planned:

@@ -5,16 +5,20 @@ The surface has a position at the centre of each cell, and between them triangle
 asked about is the point ``above`` metres over its position. At 0 that is the position, which the triangles around it
 touch and do not hide, and the ray is one of the exact test without any bias.
 
-What is unknown. Cells without a height, and what lies beyond the block that a tile is given, cast nothing that is
-known; they could be as high as ``ceiling``, the highest known height, but are taken to be no higher. A second surface
-has that height in all of them: at holes, and on a ring of cells around the block. It is above every surface that the
-model could be, as heights in a triangle rise with those of its corners. A second ring, below everything, closes it, so
-that a ray which goes under it, begun at a position beside a hole, meets it on its way out. A point that this surface
-hides and the known one does not is unknown. Where the block's side is the model's, and nothing is ``beyond``, there is
-no ring.
+What is unknown. Heights that are missing, in the model and beyond it, are taken to lie between ``floor`` and
+``ceiling``, the lowest and the highest that are known. Two surfaces have all of them at the one, or at the other;
+heights in a triangle rise with those of its corners, so every surface that the model could be lies between them. A
+point that the lower one hides is in shadow; one that the upper one alone hides is unknown; all others are lit. Two
+rings of cells around the block stand for what is beyond: at the floor below, above at the ceiling and then at the
+floor, or both at the floor where the side is the model's and nothing is beyond.
 
-So a block as large as ``plan.py`` makes it gives the same answers as the whole model: a ray is above the ceiling where
-it leaves it.
+Points on the ground. A ray that begins at a position may go under a triangle that touches it, which does not hide it.
+Then it meets the surface where it comes out again, at the latest where that falls to the floor of the outer ring, for
+the ray is above that. So a point is hidden if and only if the surface is anywhere above its ray, which is the rule of
+the horizon.
+
+A block as large as ``plan.py`` makes it gives the same answers as the whole model: a ray is above the ceiling where it
+leaves it.
 """
 
 from __future__ import annotations
@@ -36,7 +40,6 @@ BoolArray = npt.NDArray[np.bool_]
 CodeArray = npt.NDArray[np.uint8]
 
 RINGS = 2
-_BELOW = 1.0  # the outer ring, under everything [m]
 
 
 class Code(IntEnum):
@@ -60,7 +63,7 @@ class Tile:
         heights: (R, C) of the block [m], NaN where there is none.
         answered: rows and columns of the model that are asked about, within the block.
         open_sides: of the block, north (first row), south, west (first column), east: whether nothing is beyond.
-        ceiling: what unknown heights do not exceed, after curvature [m].
+        floor, ceiling: the lowest and the highest known height of the model, after curvature [m].
         suns: when.
         unsure: (K,) whether a ray to this sun may leave the block below the ceiling.
         above: height of the points over the ground [m], at least 0.
@@ -71,6 +74,7 @@ class Tile:
     heights: FloatArray
     answered: tuple[slice, slice]
     open_sides: tuple[bool, bool, bool, bool]
+    floor: float
     ceiling: float
     suns: Suns
     unsure: tuple[bool, ...]
@@ -140,11 +144,10 @@ def solve(tile: Tile, tracer: ShadowTracer | None = None) -> TileResult:
         answered = int(known.size)
         tracer = tracer or tracer_for(ringed_cells(tile.block), answered)
         points = np.stack([*tile.grid.plane(*tile.answered), z[rows, columns] + tile.above], axis=-1)[known]
-        hidden = _hidden(tracer, _ground(tile, z), points, [tile.suns.towards[k] for k in up])
         unsure = [k for k in up if tile.unsure[k] or np.isnan(z).any()]
-        covered = dict(zip(unsure, _hidden(
-            tracer, _filled(tile, z), points, [tile.suns.towards[k] for k in unsure]), strict=True)
-        )  # fmt: skip
+        hidden = _hidden(tracer, _surface(tile, z, tile.floor), points, [tile.suns.towards[k] for k in up])
+        more = _hidden(tracer, _surface(tile, z, tile.ceiling), points, [tile.suns.towards[k] for k in unsure])
+        covered = dict(zip(unsure, more, strict=True))
         for k, dark in zip(up, hidden, strict=True):
             found = np.where(dark, Code.CAST_SHADOW, Code.LIT).astype(np.uint8)
             if k in covered:
@@ -168,34 +171,25 @@ def _cosines(tile: Tile, z: FloatArray, rows: slice, columns: slice) -> dict[int
     return {k: (towards[k, 2] - right * towards[k, 0] - up * towards[k, 1]) / length for k in tile.suns.up()}
 
 
-def _ground(tile: Tile, z: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Positions of what is known, and where."""
-    return np.stack([*tile.grid.plane(*tile.block), z], axis=-1), ~np.isnan(z)
+def _surface(tile: Tile, z: FloatArray, unknown: float) -> FloatArray:
+    """(R, C, 3) positions of the block and its rings, with all heights that are missing at one height."""
+    height = np.full([count + 2 * RINGS for count in z.shape], tile.floor)
+    inner = slice(RINGS - 1, 1 - RINGS)
+    north, south, west, east = (tile.floor if side else unknown for side in tile.open_sides)
+    height[RINGS - 1, inner], height[-RINGS, inner] = north, south
+    for column, value in ((RINGS - 1, west), (-RINGS, east)):
+        height[inner, column] = np.maximum(height[inner, column], value)
+    height[RINGS:-RINGS, RINGS:-RINGS] = np.where(np.isnan(z), unknown, z)
+    rows, columns = (slice(part.start - RINGS, part.stop + RINGS) for part in tile.block)
+    return np.stack([*tile.grid.plane(rows, columns), height], axis=-1)
 
 
-def _filled(tile: Tile, z: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Positions of the highest that the model could be, and which of them there are."""
-    north, south, west, east = (0 if side else RINGS for side in tile.open_sides)
-    height = np.where(np.isnan(z), tile.ceiling, z)
-    for ring in (tile.ceiling, float(np.min(height, initial=tile.ceiling)) - _BELOW):
-        sides = [(int(north > 0), int(south > 0)), (int(west > 0), int(east > 0))]
-        height = np.pad(height, sides, constant_values=ring)
-    rows, columns = tile.block
-    rows = slice(rows.start - north, rows.stop + south)
-    columns = slice(columns.start - west, columns.stop + east)
-    return np.stack([*tile.grid.plane(rows, columns), height], axis=-1), np.ones(height.shape, np.bool_)
-
-
-def _hidden(
-    tracer: ShadowTracer, surface: tuple[FloatArray, BoolArray], points: FloatArray, suns: list[FloatArray]
-) -> list[BoolArray]:
+def _hidden(tracer: ShadowTracer, surface: FloatArray, points: FloatArray, suns: list[FloatArray]) -> list[BoolArray]:
     """Which points a surface hides from each sun."""
     if not suns:
         return []
-    positions, valid = surface
     tracer.scene.clear()
-    if min(positions.shape[:2]) > 1:
-        tracer.scene.put_surface("terrain", positions, valid)
+    tracer.scene.put_surface("terrain", surface)
     return [tracer.occluded(points, DirectionalLight("sun", -towards)) for towards in suns]
 
 
