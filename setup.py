@@ -60,6 +60,7 @@ setup(
         "terrain": [
             "ephem>=4.1.5",
             "h5netcdf>=1.3",
+            "h5py>=3.10",
             "matplotlib>=3.8",
             "pillow>=10.3",
             "rasterio>=1.3.9",

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 
+import data
 import horizon
 import numpy as np
 import pytest
@@ -101,3 +102,15 @@ def test_beyond_an_edge_the_highest_height_could_be() -> None:
     nothing = _answer(tracer, z, ((0.0, -1.0), (1.0, 0.0)), suns, beyond="nothing")[0]
     # the sun in the east rises 1 in 1: at most 10 m before the first cell beyond, which is column 30
     assert (unknown[:, 20:] == 3).all() and (unknown[:3, :19] == 0).all() and (nothing[:, 6:] == 0).all()
+
+
+def test_a_part_of_a_real_model(tracer) -> None:
+    """24 x 24 heights of an arc second, which float32 gives in steps that are no round numbers."""
+    rasterio = pytest.importorskip("rasterio", reason="needs the extra: pip install 'shadow_tracer[terrain]'")
+    with rasterio.open(data.file("dem/dem_squared.tif")) as file:
+        z = file.read(1)[40:64, 50:74].astype(np.float64)
+    suns = sky([(71, 5), (112, 14), (250, 9), (180, 31)])
+    found = _answer(tracer, z, ((0.0, -30.8), (24.4, 0.0)), suns)
+    for k, towards in enumerate(suns.towards):
+        expected, close = horizon.codes(z, (0.0, -30.8), (24.4, 0.0), tuple(towards))
+        assert close.sum() < 4 and np.array_equal(found[k][~close], expected[~close])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -122,10 +123,13 @@ def open_model(path: Path, band: int | None, variable: str, resolution: float | 
 
 def _open_raster(path: Path, band: int | None) -> Model:
     import rasterio
-    from rasterio.errors import RasterioError
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
     try:
-        with rasterio.open(path) as file:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # what has no place is refused below
+            file = rasterio.open(path)
+        with file:
             count, dtypes, units = file.count, file.dtypes, file.units
             transform, crs, shape = file.transform, file.crs, (file.height, file.width)
             point = file.tags().get("AREA_OR_POINT", "Area").lower() == "point"

@@ -19,7 +19,7 @@ from shadow_tracer.terrain.plan import Plan, make_plan
 from shadow_tracer.terrain.sunlight import BEYOND, check_options
 from shadow_tracer.terrain.suns import SOLAR_CONSTANT, suns
 
-NEEDED = ("ephem", "h5netcdf", "matplotlib", "PIL", "rasterio", "rich", "xarray")
+NEEDED = ("ephem", "h5netcdf", "h5py", "matplotlib", "PIL", "rasterio", "rich", "xarray")
 
 _DESCRIPTION = """\
 When and how long the sun reaches each cell of an elevation model: hours of sun, longest darkness, direct exposure of
