@@ -32,7 +32,7 @@ BYTES_A_CELL = 400
 """What a cell of a block costs at most, on the host and on the device together: positions twice, their checks, the
 scene's copy, 56 bytes of the surface and 12 of a sun (``height_field.py``)."""
 BYTES_A_SAMPLE = 400
-"""What a cell of a tile costs at most besides, without its codes."""
+"""What a cell of a tile costs at most besides, and two bytes for each time."""
 
 
 @dataclass(frozen=True)
@@ -117,13 +117,14 @@ def make_plan(
         ValueError: ``memory`` is too small for a tile; the message says how much is needed.
     """
     tiles = list(windows(grid.rows, grid.columns, size))
-    most = int((memory - BYTES_A_SAMPLE * min(size, grid.rows) * min(size, grid.columns)) / BYTES_A_CELL)
+    samples = min(size, grid.rows) * min(size, grid.columns) * (BYTES_A_SAMPLE + 2 * len(suns.stamps))
+    most = int((memory - samples) / BYTES_A_CELL)
     least = max(_count(_grown(grid, tile, (-_SPARE, _SPARE, -_SPARE, _SPARE))) for tile in tiles)
     if most < least:
-        needed = BYTES_A_CELL * least + BYTES_A_SAMPLE * size * size
+        needed = BYTES_A_CELL * least + samples
         raise ValueError(
-            f"memory: expected at least {needed / 1e9:.2g} GB for tiles of {size} x {size} cells, got "
-            f"{memory / 1e9:.2g} GB; smaller tiles need less"
+            f"memory: expected at least {needed / 1e9:.2g} GB for tiles of {size} x {size} cells and "
+            f"{len(suns.stamps)} times, got {memory / 1e9:.2g} GB; smaller tiles need less"
         )
     lowest, highest = [], -math.inf
     for tile in tiles:

@@ -23,6 +23,7 @@ leaves it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -136,39 +137,43 @@ def solve(tile: Tile, tracer: ShadowTracer | None = None) -> TileResult:
     rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(tile.answered, tile.block, strict=True))
     z = tile.heights - tile.grid.drop(*tile.block)
     known = ~np.isnan(z[rows, columns])
-    facing = _cosines(tile, z, rows, columns)
+    facing = _Facing(tile, z, rows, columns)
     codes = np.full((len(tile.suns.stamps), *known.shape), Code.UNKNOWN, np.uint8)
     codes[:, known] = Code.TURNED_AWAY
     up = tile.suns.up()
     if up and known.any():
-        answered = int(known.size)
-        tracer = tracer or tracer_for(ringed_cells(tile.block), answered)
+        tracer = tracer or tracer_for(ringed_cells(tile.block), int(known.size))
         points = np.stack([*tile.grid.plane(*tile.answered), z[rows, columns] + tile.above], axis=-1)[known]
         unsure = [k for k in up if tile.unsure[k] or np.isnan(z).any()]
-        hidden = _hidden(tracer, _surface(tile, z, tile.floor), points, [tile.suns.towards[k] for k in up])
-        more = _hidden(tracer, _surface(tile, z, tile.ceiling), points, [tile.suns.towards[k] for k in unsure])
-        covered = dict(zip(unsure, more, strict=True))
-        for k, dark in zip(up, hidden, strict=True):
-            found = np.where(dark, Code.CAST_SHADOW, Code.LIT).astype(np.uint8)
-            if k in covered:
-                found[~dark & covered[k]] = Code.UNKNOWN
-            codes[k][known] = found
-            if tile.above == 0.0:
-                cosine = facing[k]
+        for k, dark in _hidden(tracer, _surface(tile, z, tile.floor), points, tile.suns, up):
+            codes[k][known] = np.where(dark, Code.CAST_SHADOW, Code.LIT)
+        for k, dark in _hidden(tracer, _surface(tile, z, tile.ceiling), points, tile.suns, unsure):
+            found = codes[k][known]
+            codes[k][known] = np.where(dark & (found == Code.LIT), Code.UNKNOWN, found)
+        if tile.above == 0.0:
+            for k in up:
+                cosine = facing.cosine(k)
                 codes[k][known & (cosine <= 0.0)] = Code.TURNED_AWAY
                 codes[k][np.isnan(cosine)] = Code.UNKNOWN
     return _summed(tile.suns, codes, facing, known)
 
 
-def _cosines(tile: Tile, z: FloatArray, rows: slice, columns: slice) -> dict[int, FloatArray]:
-    """Of each sun that is up, of the angle between it and what faces it: slopes, or level planes over the ground."""
-    towards = tile.suns.towards
-    if tile.above > 0.0:
-        shape = z[rows, columns].shape
-        return {k: np.full(shape, towards[k, 2]) for k in tile.suns.up()}
-    right, up = (each[rows, columns] for each in slopes(tile.grid, z))
-    length = np.sqrt(right * right + up * up + 1.0)
-    return {k: (towards[k, 2] - right * towards[k, 0] - up * towards[k, 1]) / length for k in tile.suns.up()}
+class _Facing:
+    """What faces the suns: the slopes of a tile, or level planes over its ground."""
+
+    def __init__(self, tile: Tile, z: FloatArray, rows: slice, columns: slice) -> None:
+        self._towards = tile.suns.towards
+        if tile.above > 0.0:
+            level = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
+            self._right, self._up = level, level
+        else:
+            self._right, self._up = (each[rows, columns] for each in slopes(tile.grid, z))
+        self._length = np.sqrt(self._right * self._right + self._up * self._up + 1.0)
+
+    def cosine(self, k: int) -> FloatArray:
+        """(R, C) of the angle to a sun, NaN where there is no slope."""
+        x, y, z = self._towards[k]
+        return np.asarray((z - self._right * x - self._up * y) / self._length)
 
 
 def _surface(tile: Tile, z: FloatArray, unknown: float) -> FloatArray:
@@ -184,16 +189,18 @@ def _surface(tile: Tile, z: FloatArray, unknown: float) -> FloatArray:
     return np.stack([*tile.grid.plane(rows, columns), height], axis=-1)
 
 
-def _hidden(tracer: ShadowTracer, surface: FloatArray, points: FloatArray, suns: list[FloatArray]) -> list[BoolArray]:
-    """Which points a surface hides from each sun."""
-    if not suns:
-        return []
-    tracer.scene.clear()
-    tracer.scene.put_surface("terrain", surface)
-    return [tracer.occluded(points, DirectionalLight("sun", -towards)) for towards in suns]
+def _hidden(
+    tracer: ShadowTracer, surface: FloatArray, points: FloatArray, suns: Suns, which: list[int]
+) -> Iterator[tuple[int, BoolArray]]:
+    """Which points a surface hides from some suns, one after the other."""
+    if which:
+        tracer.scene.clear()
+        tracer.scene.put_surface("terrain", surface)
+    for k in which:
+        yield k, tracer.occluded(points, DirectionalLight("sun", -suns.towards[k]))
 
 
-def _summed(suns: Suns, codes: CodeArray, facing: dict[int, FloatArray], known: BoolArray) -> TileResult:
+def _summed(suns: Suns, codes: CodeArray, facing: _Facing, known: BoolArray) -> TileResult:
     """Sums over the times, one after the other."""
     lit, unknown, longest, exposure, dark = (np.where(known, 0.0, np.nan) for _ in range(5))
     for k, found in enumerate(codes):
@@ -203,6 +210,6 @@ def _summed(suns: Suns, codes: CodeArray, facing: dict[int, FloatArray], known: 
         unknown[known & (found == Code.UNKNOWN)] += seconds
         dark = np.where(reached, 0.0, dark + seconds)
         np.maximum(longest, dark, out=longest)
-        if k in facing:
-            exposure[reached] += facing[k][reached] * (float(suns.irradiance[k]) * seconds)
+        if reached.any():
+            exposure[reached] += facing.cosine(k)[reached] * (float(suns.irradiance[k]) * seconds)
     return TileResult(codes, lit, unknown, np.where(known, longest, np.nan), exposure)

@@ -105,7 +105,7 @@ def test_tiles_are_not_the_whole_without(tracer, there, instead, suns) -> None:
 
 def test_a_block_that_is_too_small_lights_what_is_dark_without_its_ring(tracer) -> None:
     z = hills(48, 48, seed=3, height=60.0)
-    memory = plan.BYTES_A_SAMPLE * 16 * 16 + plan.BYTES_A_CELL * 26 * 26
+    memory = (plan.BYTES_A_SAMPLE + 12) * 16 * 16 + plan.BYTES_A_CELL * 26 * 26
     whole, _ = _codes_and_exposure(plan.make_plan, tracer, z, 64)
     careless = _without(plan, "return True\n    return False", "return False\n    return False").make_plan
     for make, honest in ((plan.make_plan, True), (careless, False)):

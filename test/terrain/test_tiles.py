@@ -75,7 +75,7 @@ def test_the_order_of_tiles_and_the_tracer_do_not_matter(ground) -> None:
 def test_a_block_that_is_too_small_says_unknown_never_another_answer(ground) -> None:
     z = hills(64, 64, seed=4, height=60.0)
     whole = _together(z, _solved(z, 64))["codes"]
-    memory = BYTES_A_SAMPLE * 16 * 16 + BYTES_A_CELL * 30 * 30
+    memory = (BYTES_A_SAMPLE + 14) * 16 * 16 + BYTES_A_CELL * 30 * 30
     plan = make_plan(Grid(*z.shape, *STEPS), SUNS, lambda window: z[window], 16, memory)
     assert 0 < plan.short < len(SUNS.up())
     short = _together(z, _solved(z, 16, memory=memory))["codes"]
@@ -84,7 +84,7 @@ def test_a_block_that_is_too_small_says_unknown_never_another_answer(ground) -> 
 
 
 def test_memory_that_is_too_small_for_a_tile_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"^memory: expected at least .* GB for tiles of 64 x 64 cells"):
+    with pytest.raises(ValueError, match=r"^memory: expected at least .* GB for tiles of 64 x 64 cells and 7 times"):
         make_plan(Grid(64, 64, *STEPS), SUNS, lambda window: np.zeros((64, 64))[window], 64, 1e6)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from shadow_tracer.apps.terrain.days import day_of, seconds_of, times_of, zone_of
+from shadow_tracer.apps.terrain.days import day_of, irradiance_of, seconds_of, times_of, zone_of
 from shadow_tracer.apps.terrain.georeference import Georeference, TerrainError, locate
 from shadow_tracer.apps.terrain.reading import Model, open_model
 from shadow_tracer.terrain.plan import Plan, make_plan
@@ -57,12 +57,13 @@ def perform(chosen: argparse.Namespace) -> int:
 
     start = time.monotonic()
     stamps = _times(chosen)
+    irradiance = irradiance_of(chosen.irradiance, stamps)
     check_options(chosen.height_above, chosen.beyond, chosen.tile)
     _check_outputs(chosen)
     model = open_model(chosen.dem, chosen.band, chosen.variable, chosen.resolution, chosen.nodata)
     given = _given(chosen)
     where = locate(chosen.dem.name, model.shape, model.transform, model.crs, given, chosen.curvature)
-    sky = suns(stamps, where.place, seconds_of(chosen.every), chosen.irradiance)
+    sky = suns(stamps, where.place, seconds_of(chosen.every), irradiance)
     plan = make_plan(
         where.grid, sky, model.source.read, chosen.tile, chosen.memory * 1e9, chosen.height_above, chosen.beyond
     )
@@ -163,11 +164,12 @@ def _sinks(
 
 def _summarise(chosen: argparse.Namespace, plan: Plan, where: Georeference, before: int, seconds: float) -> None:
     grid, place, sky = plan.grid, where.place, plan.suns
+    strength = " to ".join(f"{each:g}" for each in sorted({sky.irradiance.min(), sky.irradiance.max()}))
     down, right = (math.hypot(*step) for step in (grid.row_step, grid.column_step))
     print(f"{grid.rows} x {grid.columns} cells of {down:.4g} x {right:.4g} m around latitude {place.latitude:.4f}, "
           f"longitude {place.longitude:.4f}")  # fmt: skip
     print(f"{len(sky.stamps)} times, {len(sky.up())} with the sun up, {sky.daylight / 3600:.2f} h; direct irradiance "
-          f"{chosen.irradiance:g} W/m2 at a right angle to the rays")  # fmt: skip
+          f"{strength} W/m2 at a right angle to the rays")  # fmt: skip
     resumed = f", {before} of them from the run before" if before else ""
     print(f"{len(plan.tiles)} tiles{resumed}, {seconds:.1f} s")
     for path in (chosen.output, chosen.codes, chosen.png, chosen.gif):
@@ -193,8 +195,11 @@ def _options() -> argparse.ArgumentParser:
     add("--every", default="15min", metavar="STEP", help="30s, 15min, 1h: from time to time (default: %(default)s)")
     add("--tz", default="UTC", metavar="ZONE", help="whose midnight: Europe/Zurich, +02:00 (default: %(default)s)")
     add("--height-above", type=float, default=0.0, metavar="M", help="of the points over the ground [m] (default: 0)")
-    strength = "direct, at a right angle to the rays [W/m2] (default: %(default)g, the sun without an atmosphere)"
-    add("--irradiance", type=float, default=SOLAR_CONSTANT, metavar="W", help=strength)
+    strength = (
+        "direct, at a right angle to the rays: a number [W/m2], or a CSV file of times and numbers (default: "
+        "%(default)s, the sun without an atmosphere)"
+    )
+    add("--irradiance", default=f"{SOLAR_CONSTANT:g}", metavar="W", help=strength)
     outside = "what is beyond the model: up to its highest height, or nothing (default: %(default)s)"
     add("--beyond", choices=BEYOND, default=BEYOND[0], help=outside)
     add("--curvature", action="store_true", help="of the Earth, for models of 10 to 100 km around their centre")
