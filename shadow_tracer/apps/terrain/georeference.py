@@ -132,16 +132,17 @@ def _degrees(name: str, crs: Any, transform: Transform, x: float, y: float) -> S
 
 
 def _projected(name: str, crs: Any, transform: Transform, x: float, y: float) -> Steps:
-    from rasterio.errors import RasterioError
     from rasterio.warp import transform as to
 
     _ellipsoid(name, crs)
+    if not crs.is_projected:
+        raise TerrainError(f"{name}: crs: expected a projected or a geographic one, got {crs.to_string()[:80]}")
     a, b, _, d, e, _ = transform
     try:
         metre = float(crs.linear_units_factor[1])
         probe = _PROBE / metre
         lon, lat = to(crs, "EPSG:4326", [x, x, x, x + probe, x - probe], [y, y + probe, y - probe, y, y])[:2]
-    except RasterioError as error:
+    except Exception as error:  # what GDAL raises is of many kinds, not all of rasterio's
         raise TerrainError(f"{name}: crs: cannot be taken to latitude and longitude ({error})") from error
     if not all(math.isfinite(each) for each in (*lon, *lat)):
         raise TerrainError(f"{name}: crs: the centre, x {x:g}, y {y:g}, is nowhere on the Earth")

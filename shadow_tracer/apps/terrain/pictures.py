@@ -17,6 +17,8 @@ _LARGEST = 800  # pixels along an edge
 _DIM = 0.35  # of the colours in shadow
 _GREY = (0.55, 0.55, 0.55)
 _MOST_FRAMES = 96
+MOST_TIMES = 2000
+"""Of a moving picture: more would not fit into memory."""
 
 
 class Pictures:
@@ -25,14 +27,17 @@ class Pictures:
     Args:
         plan: what is shown.
         title: over the pictures.
+        moving: whether a moving one is wanted, which needs codes.
     """
 
-    def __init__(self, plan: Plan, title: str) -> None:
+    def __init__(self, plan: Plan, title: str, moving: bool) -> None:
         rows, columns = plan.grid.rows, plan.grid.columns
         self._plan, self._title = plan, title
         self._step = max(1, -(-max(rows, columns) // _LARGEST))
         shape = -(-rows // self._step), -(-columns // self._step)
-        self._codes: npt.NDArray[np.uint8] = np.full((len(plan.suns.stamps), *shape), Code.UNKNOWN, np.uint8)
+        self._codes: npt.NDArray[np.uint8] = np.full(
+            (len(plan.suns.stamps) if moving else 0, *shape), Code.UNKNOWN, np.uint8
+        )
         self._hours = np.full(shape, np.nan)
 
     def put(self, window: Window, result: TileResult) -> None:
@@ -40,7 +45,8 @@ class Pictures:
         step = self._step
         first = [-part.start % step for part in window]
         place = tuple(slice(-(-part.start // step), -(-part.stop // step)) for part in window)
-        self._codes[:, place[0], place[1]] = result.codes[:, first[0] :: step, first[1] :: step]
+        if len(self._codes):
+            self._codes[:, place[0], place[1]] = result.codes[:, first[0] :: step, first[1] :: step]
         self._hours[place] = result.lit[first[0] :: step, first[1] :: step] / 3600.0
 
     def png(self, path: Path) -> None:
@@ -52,7 +58,7 @@ class Pictures:
 
     def gif(self, path: Path, milliseconds: int = 120) -> int:
         """A frame for each time with the sun up: hours of sun up to then, darker where it does not reach, grey where it
-        is unknown. Returns how many times of one frame to the next."""
+        is unknown. Returns how many times there are from one frame to the next."""
         from matplotlib import colormaps
         from PIL import Image
 

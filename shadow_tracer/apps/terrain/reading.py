@@ -6,6 +6,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, Protocol
 
 import numpy as np
@@ -162,7 +163,7 @@ def _open_npy(path: Path, resolution: float | None, nodata: float | None) -> Mod
         raise TerrainError(f"{path.name}: --resolution: expected 0.001 to 1000000 m, got {resolution}")
     try:
         z = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, TokenError) as error:
         raise TerrainError(f"{path.name}: not an array, or damaged ({error})") from error
     heights = _heights(path.name, z)
     if nodata is not None:

@@ -59,7 +59,7 @@ def perform(chosen: argparse.Namespace) -> int:
     stamps = _times(chosen)
     irradiance = irradiance_of(chosen.irradiance, stamps)
     check_options(chosen.height_above, chosen.beyond, chosen.tile)
-    _check_outputs(chosen)
+    _check_outputs(chosen, len(stamps))
     model = open_model(chosen.dem, chosen.band, chosen.variable, chosen.resolution, chosen.nodata)
     given = _given(chosen)
     where = locate(chosen.dem.name, model.shape, model.transform, model.crs, given, chosen.curvature)
@@ -99,7 +99,11 @@ def _given(chosen: argparse.Namespace) -> tuple[float, float] | None:
     return None if chosen.latitude is None else (chosen.latitude, chosen.longitude)
 
 
-def _check_outputs(chosen: argparse.Namespace) -> None:
+def _check_outputs(chosen: argparse.Namespace, times: int) -> None:
+    from shadow_tracer.apps.terrain.pictures import MOST_TIMES
+
+    if chosen.gif and times > MOST_TIMES:
+        raise ValueError(f"--gif: expected at most {MOST_TIMES} times, got {times}")
     if chosen.jobs < 1:
         raise ValueError(f"--jobs: expected at least 1, got {chosen.jobs}")
     if chosen.output.suffix not in (".tif", ".tiff", ".nc"):
@@ -153,7 +157,7 @@ def _sinks(
         sinks.append(stack.enter_context(TiffOutput(chosen.output, chosen.codes, plan, where, model.point)).put)
     if chosen.png or chosen.gif:
         days = chosen.date if not chosen.until else f"{chosen.date} to {chosen.until}"
-        pictures = Pictures(plan, f"{chosen.dem.name}, {days}")
+        pictures = Pictures(plan, f"{chosen.dem.name}, {days}", chosen.gif is not None)
         sinks.append(pictures.put)
         if chosen.png:
             stack.callback(pictures.png, chosen.png)

@@ -155,6 +155,7 @@ def test_pictures_have_a_frame_for_each_time_with_the_sun_up(model) -> None:
         (["--memory", "0.00001"], "memory: expected at least"),
         (["-o", "sun.png"], "-o: expected *.tif or *.nc"),
         (["-o", "nowhere/sun.tif"], "there is no folder"),
+        (["--gif", "day.gif", "--until", "2026-03-22", "--every", "1min"], "--gif: expected at most 2000 times"),
         (["--codes", "codes.nc"], "--codes: expected *.tif"),
         (["--resolution", "3"], "--resolution and --nodata are for .npy"),
     ],

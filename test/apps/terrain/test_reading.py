@@ -117,6 +117,8 @@ BAD = {
     "large": ({"transform": (9e3, 0.0, 440_000.0, 0.0, -9e3, 5_100_000.0)}, r"^a.tif: extent: .*give --curvature"),
     "turned_degrees": ({"crs": "EPSG:4326", "transform": (8e-4, -6e-4, 8.0, -6e-4, -8e-4, 45.0)},
                        r"^a.tif: transform: a grid of degrees is turned"),
+    "geocentric": ({"crs": "EPSG:4978"}, r"^a.tif: crs: expected a projected or a geographic one, got EPSG:4978"),
+    "nowhere": ({"transform": (10.0, 0.0, 4e8, 0.0, -10.0, 4e9)}, r"^a.tif: crs: (cannot be taken|.* is nowhere)"),
     "pole": ({"crs": "EPSG:4326", "transform": (1e-3, 0.0, 8.0, 0.0, -1e-3, 145.0)},
              r"^a.tif: transform: its centre is at longitude 8.0025, latitude 144.997"),
 }  # fmt: skip
@@ -163,6 +165,10 @@ def test_arrays_of_numpy_need_a_resolution_and_a_place(tmp_path) -> None:
         _located(path, resolution=2.0)
     np.save(path, Z[0])
     with pytest.raises(TerrainError, match=r"^a.npy: heights: expected real numbers of shape"):
+        _opened(path, resolution=2.0)
+    np.save(path, Z)
+    path.write_bytes(path.read_bytes().replace(b"{", b"(", 1))
+    with pytest.raises(TerrainError, match=r"^a.npy: not an array, or damaged"):
         _opened(path, resolution=2.0)
     path.write_bytes(b"\x93NUMPY")
     with pytest.raises(TerrainError, match=r"^a.npy: not an array, or damaged"):
