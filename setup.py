@@ -60,6 +60,18 @@ setup(
             "scipy>=1.11",
             "zstandard>=0.22",
         ],
+        # `shadow_tracer terrain`; sunlight() of the library takes ephem and xarray of it.
+        "terrain": [
+            "ephem>=4.1.5",
+            "h5netcdf>=1.3",
+            "h5py>=3.10",
+            "matplotlib>=3.8",
+            "pillow>=10.3",
+            "rasterio>=1.3.9",
+            "rich>=13.7",
+            "tzdata>=2024.1",
+            "xarray>=2024.1",
+        ],
         # Depth images of the transport compressedDepth that are PNG; RVL needs nothing.
         "compressed": ["pillow>=10.3"],
         "demo": ["pillow>=10.3", "rich>=13.7"],

@@ -25,6 +25,8 @@ from shadow_tracer.scene.lights import (
 from shadow_tracer.scene.mesh import Mesh, Scene
 from shadow_tracer.scene.strength import Strength
 from shadow_tracer.scene.surface import HeightField
+from shadow_tracer.terrain.sunlight import sunlight
+from shadow_tracer.terrain.suns import Place
 from shadow_tracer.tracer import ShadowTracer
 from shadow_tracer.visibility import Frame, State
 
@@ -45,6 +47,7 @@ __all__ = [
     "Mesh",
     "NormalSource",
     "Outcome",
+    "Place",
     "Plan",
     "PointLight",
     "RectangleLight",
@@ -61,4 +64,5 @@ __all__ = [
     "irradiance_matrix",
     "plan_positions",
     "render_depth",
+    "sunlight",
 ]

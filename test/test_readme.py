@@ -21,6 +21,7 @@ import yaml
 
 import shadow_tracer
 from shadow_tracer.apps.bag import bag
+from shadow_tracer.apps.terrain import terrain
 from shadow_tracer.ros.parameters.parameters import markdown_table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -32,8 +33,9 @@ DOCS = ROOT / "docs"
 NODE, LIBRARY, INSTALL, RECORDINGS, DOSE = (
     DOCS / f"{name}.md" for name in ("node", "library", "install", "recordings", "dose")
 )
+TERRAIN = DOCS / "terrain.md"
 FOR_USERS = [README, NODE, LIBRARY, INSTALL, RECORDINGS, DOSE]
-FOR_USERS += [DOCS / f"{name}.md" for name in ("troubleshooting", "integration", "slam", "testing")]
+FOR_USERS += [DOCS / f"{name}.md" for name in ("troubleshooting", "integration", "slam", "testing", "terrain")]
 
 _BLOCK = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.MULTILINE)
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
@@ -103,8 +105,15 @@ def rows(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in table[2:]]
 
 
-@pytest.mark.parametrize(("page", "count"), [(README, 1), (LIBRARY, 8), (DOSE, 3)], ids=lambda page: str(page)[-10:])
+@pytest.mark.parametrize(
+    ("page", "count"),
+    [(README, 1), (LIBRARY, 8), (DOSE, 3), (TERRAIN, 4)],
+    ids=["README.md", "docs/library.md", "docs/dose.md", "docs/terrain.md"],
+)
 def test_the_code_for_the_library_gives_what_its_comments_say(page: Path, count: int) -> None:
+    if page == TERRAIN:
+        for name in ("ephem", "xarray"):
+            pytest.importorskip(name, reason="needs the extra: pip install 'shadow_tracer[terrain]'")
     code = blocks(page, "python")
     assert len(code) == 1, "one block for the library"
     pairs = list(results(code[0]))
@@ -185,7 +194,14 @@ def test_the_table_of_the_library_has_every_public_name() -> None:
     assert sorted(listed) == sorted(shadow_tracer.__all__)
 
 
-def test_the_table_of_the_bag_has_every_option(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("program", "page", "heading"),
+    [(bag, RECORDINGS, "## Run it"), (terrain, TERRAIN, "## One command")],
+    ids=["bag", "terrain"],
+)
+def test_the_table_of_a_program_has_every_option(
+    program: Any, page: Path, heading: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     known: set[str] = set()
     add = argparse.ArgumentParser.add_argument
 
@@ -195,9 +211,10 @@ def test_the_table_of_the_bag_has_every_option(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(argparse.ArgumentParser, "add_argument", listen)
     with pytest.raises(SystemExit), contextlib.redirect_stdout(io.StringIO()):
-        bag.main(["--help"])
-    listed = [name.split()[0] for names, _ in rows(section(RECORDINGS, "## Run it")) for name in _CODE.findall(names)]
-    assert sorted(listed) == sorted(known - {"--help"})
+        program.main(["--help"])
+    text = section(page, heading).split("<!-- held equal to the program")[1]
+    listed = [name.split()[0] for names, _ in rows(text) for name in _CODE.findall(names)]
+    assert sorted(name for name in listed if name.startswith("--")) == sorted(known - {"--help"})
 
 
 def test_the_figures_of_the_readme_are_those_of_the_page_on_performance() -> None:

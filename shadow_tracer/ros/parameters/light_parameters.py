@@ -22,8 +22,8 @@ from shadow_tracer.ros.parameters.parameter_rows import (
     convert,
 )
 from shadow_tracer.ros.settings import LIGHT_TYPES, LightSettings, SunSettings
-from shadow_tracer.ros.world.sun import parse_time
 from shadow_tracer.scene.strength import MODELS, QUANTITIES
+from shadow_tracer.scene.sun import parse_time
 
 FRAME = re.compile(r"(?!/)\S+|")
 FRAME_TEXT = 'a tf frame without leading "/", or ""'

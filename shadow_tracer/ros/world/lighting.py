@@ -10,7 +10,7 @@ import numpy as np
 from shadow_tracer.ros.diagnostics import ERROR, PROCESSING, Missing
 from shadow_tracer.ros.settings import FloatArray, Light, LightSettings, Settings
 from shadow_tracer.ros.world.frames import Poses
-from shadow_tracer.ros.world.sun import Sun
+from shadow_tracer.scene.sun import Sun
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from visualization_msgs.msg import MarkerArray
 
 from shadow_tracer.ros.parameters import parameters
 from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_markers
-from shadow_tracer.ros.world.sun import parse_time
+from shadow_tracer.scene.sun import parse_time
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 USES = (

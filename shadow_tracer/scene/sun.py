@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the sun stands: from date, time and place, by the library ephem (extra ``sun``). No ROS here.
+"""Where the sun stands: from date, time and place, by the library ephem (extra ``sun``).
 
 What is given is the apparent position, as a camera sees it: refraction of a standard atmosphere at sea level (1010 hPa,
 15 degrees Celsius) is included, which lifts the sun by half a degree at the horizon and by a minute of arc at 45

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 import pytest
 
-from shadow_tracer.ros.world.sun import Sun, parse_time, sun_direction
+from shadow_tracer.scene.sun import Sun, parse_time, sun_direction
 
 if importlib.util.find_spec("ephem") is None:
     pytest.skip("needs ephem: pip install 'shadow_tracer[sun]'", allow_module_level=True)

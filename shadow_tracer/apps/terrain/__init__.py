@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`shadow_tracer terrain`: hours of sun of an elevation model in a file."""

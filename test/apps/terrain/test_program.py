@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`shadow_tracer terrain`: files in, files out; runs that are interrupted, several processes, wrong options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import data
+import numpy as np
+import pytest
+from elevation_files import by_hand, geotiff, tags_of
+from valleys import hills
+
+for _name in ("ephem", "h5netcdf", "h5py", "matplotlib", "PIL", "rasterio", "rich", "xarray"):
+    pytest.importorskip(_name, reason="needs the extra: pip install 'shadow_tracer[terrain]'")
+
+from shadow_tracer import HeightField, Place, sunlight  # noqa: E402
+from shadow_tracer.apps.terrain import run, terrain  # noqa: E402
+from shadow_tracer.apps.terrain.reading import open_model  # noqa: E402
+
+DAY = ["--date", "2026-03-20", "--every", "2h", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def ground() -> np.ndarray:
+    z = hills(40, 46, seed=9, height=90.0).astype(np.float32)
+    z[12:15, 20:22] = -9999.0
+    return z
+
+
+@pytest.fixture
+def model(tmp_path, ground) -> Path:
+    return geotiff(tmp_path / "dem.tif", ground, nodata=-9999.0)
+
+
+def _bands(path: Path) -> np.ndarray:
+    import rasterio
+
+    with rasterio.open(path) as file:
+        return file.read()
+
+
+def _run(model: Path, name: str, *more: str) -> Path:
+    out = model.with_name(name)
+    assert terrain.main([str(model), "-o", str(out), *DAY, *more]) == 0
+    return out
+
+
+def test_a_geotiff_becomes_sums_and_codes_where_it_was(model, ground) -> None:
+    import rasterio
+
+    codes = model.with_name("codes.tif")
+    out = _run(model, "sun.tif", "--codes", str(codes))
+    with rasterio.open(model) as before, rasterio.open(out) as file, rasterio.open(codes) as each:
+        assert file.transform == each.transform == before.transform and file.crs == each.crs == before.crs
+        assert file.descriptions[0] == "sunshine_duration [s]" and file.units[0] == "s" and np.isnan(file.nodata)
+        assert each.descriptions[:2] == ("2026-03-20T00:00:00Z", "2026-03-20T02:00:00Z") and each.count == 12
+        assert float(each.tags(7)["sun_elevation"]) == pytest.approx(43.5, abs=1.0)
+        sums, states = file.read(), each.read()
+    hole = ground == -9999.0
+    assert np.isnan(sums[:, hole]).all() and not np.isnan(sums[:, ~hole]).any() and (states[:, hole] == 3).all()
+    assert np.array_equal(sums[0][~hole], ((states == 0).sum(axis=0) * 7200.0)[~hole])
+    assert not list(model.parent.glob("*.part*"))
+
+
+def test_the_program_and_the_library_say_the_same(model) -> None:
+    import xarray
+
+    out = _run(model, "sun.nc")
+    where = terrain.locate("dem.tif", *_placed(model), None, False)
+    z = open_model(model, None, "", None, None).source.read((slice(0, 40), slice(0, 46)))
+    times = [f"2026-03-20T{hour:02d}:00Z" for hour in range(0, 24, 2)]
+    found = sunlight(HeightField(z, 10.0), times, where.place, interval=7200.0, device="cpu")
+    with xarray.open_dataset(out, engine="h5netcdf", decode_timedelta=False) as file:
+        assert np.array_equal(file.sun_code, found.sun_code)
+        assert np.array_equal(file.direct_exposure, found.direct_exposure, equal_nan=True)
+        assert file.x.values[0] == 440_005.0 and file.y.values[0] == 5_099_995.0
+        assert "UTM zone 32N" in file.spatial_ref.crs_wkt and file.sun_code.grid_mapping == "spatial_ref"
+    assert isinstance(where.place, Place)
+
+
+def _placed(path: Path):
+    model = open_model(path, None, "", None, None)
+    return model.shape, model.transform, model.crs
+
+
+@pytest.mark.parametrize("point", [False, True], ids=["area", "point"])
+def test_results_lie_where_the_model_lies_to_the_half_cell(tmp_path, ground, point) -> None:
+    path = by_hand(tmp_path / "dem.tif", np.maximum(ground, 0.0), (440_000.0, 5_100_000.0), 10.0, point)
+    tags = tags_of(_run(path, "sun.tif", "--every", "6h"))
+    assert tags[33922][3:5] == (440_000.0, 5_100_000.0) and tags[33550][:2] == (10.0, 10.0)
+    assert dict(zip(tags[34735][4::4], tags[34735][7::4], strict=True))[1025] == (2 if point else 1)
+
+
+def test_tiles_give_the_file_of_the_whole(model) -> None:
+    assert _run(model, "a.tif").read_bytes() == _run(model, "b.tif", "--tile", "256").read_bytes()
+    assert np.array_equal(
+        _bands(model.with_name("a.tif")), _bands(_run(model, "c.tif", "--tile", "16")), equal_nan=True
+    )
+
+
+def test_an_interrupted_run_goes_on_and_gives_the_same_bytes(model, monkeypatch, capsys) -> None:
+    whole = _run(model, "whole.tif", "--tile", "16").read_bytes()
+    saved, save = [], run.save
+
+    def stop_after_three(path, result):
+        if len(saved) == 3:
+            raise KeyboardInterrupt
+        saved.append(path)
+        save(path, result)
+
+    monkeypatch.setattr(run, "save", stop_after_three)
+    out = model.with_name("sun.tif")
+    command = [str(model), "-o", str(out), *DAY, "--tile", "16"]
+    assert terrain.main(command) == 130 and not out.exists() and len(saved) == 3
+    monkeypatch.setattr(run, "save", save)
+    saved[1].write_bytes(saved[1].read_bytes()[:100])  # a file that was damaged is made again
+    capsys.readouterr()
+    assert terrain.main([*command, "--every", "3h"]) == 1
+    assert "holds tiles of a run with other options" in capsys.readouterr().err
+    assert terrain.main(command) == 0
+    assert "9 tiles, 2 of them from the run before" in capsys.readouterr().out
+    assert out.read_bytes() == whole
+
+
+@pytest.mark.slow
+def test_two_processes_give_the_bytes_of_one(model) -> None:
+    one, two = (_run(model, f"{jobs}.tif", "--tile", "16", "--jobs", jobs) for jobs in ("1", "2"))
+    assert one.read_bytes() == two.read_bytes()
+
+
+@pytest.mark.slow
+def test_pictures_have_a_frame_for_each_time_with_the_sun_up(model) -> None:
+    from PIL import Image
+
+    png, gif = model.with_name("sun.png"), model.with_name("day.gif")
+    _run(model, "sun.tif", "--png", str(png), "--gif", str(gif), "--tile", "16", "--every", "1h")
+    with Image.open(gif) as moving:
+        assert moving.n_frames == 12
+    with Image.open(png) as image:
+        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3)
+    assert len(np.unique(pixels, axis=0)) > 50 and (pixels == (140, 140, 140)).all(axis=1).any()
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--every", "soon"], "--every: expected 1s to 24h"),
+        (["--tz", "Nowhere"], "--tz: expected a zone"),
+        (["--height-above", "-1"], "above: expected at least 0"),
+        (["--irradiance", "-5"], "irradiance: expected finite numbers"),
+        (["--jobs", "0"], "--jobs: expected at least 1"),
+        (["--latitude", "3"], "--latitude: expected together with --longitude"),
+        (["--latitude", "3", "--longitude", "4"], "crs: there is one; leave out --latitude"),
+        (["--memory", "0.00001"], "memory: expected at least"),
+        (["-o", "sun.png"], "-o: expected *.tif or *.nc"),
+        (["-o", "nowhere/sun.tif"], "there is no folder"),
+        (["--gif", "day.gif", "--until", "2026-03-22", "--every", "1min"], "--gif: expected at most 2000 times"),
+        (["--codes", "codes.nc"], "--codes: expected *.tif"),
+        (["--resolution", "3"], "--resolution and --nodata are for .npy"),
+    ],
+)
+def test_wrong_options_are_named(model, monkeypatch, capsys, more, message) -> None:
+    monkeypatch.chdir(model.parent)
+    assert terrain.main([str(model), "-o", "sun.tif", *DAY, *more]) == 1
+    assert message in capsys.readouterr().err
+    assert [path.name for path in model.parent.iterdir()] == ["dem.tif"]
+
+
+def test_no_file_is_overwritten_unless_asked(model, capsys) -> None:
+    out = _run(model, "sun.tif")
+    assert terrain.main([str(model), "-o", str(out), *DAY]) == 1 and "exists" in capsys.readouterr().err
+    assert terrain.main([str(model), "-o", str(model), *DAY, "--overwrite"]) == 1
+    assert "is the model that is read" in capsys.readouterr().err
+    _run(model, "sun.tif", "--overwrite")
+
+
+def test_a_model_without_any_height_is_refused(tmp_path, capsys) -> None:
+    path = geotiff(tmp_path / "dem.tif", np.full((20, 20), -1.0, np.float32), nodata=-1.0)
+    assert terrain.main([str(path), "-o", str(tmp_path / "sun.tif"), *DAY]) == 1
+    assert "dem.tif: heights: there is none" in capsys.readouterr().err
+
+
+def test_what_is_not_installed_is_said(model, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(terrain, "NEEDED", ("rasterio", "no_such_package"))
+    assert terrain.main([str(model), "-o", "sun.tif", *DAY]) == 2
+    assert capsys.readouterr().err.strip() == "terrain needs no_such_package: pip install 'shadow_tracer[terrain]'"
+
+
+def test_a_day_on_the_real_model(tmp_path) -> None:
+    """No shadow is cast on the summit; the day has 12 hours, of which 2 are in each time."""
+    path, codes = data.file("dem/dem_squared.tif"), tmp_path / "codes.tif"
+    out = tmp_path / "sun.tif"
+    more = ["--beyond", "nothing", "--codes", str(codes)]
+    assert terrain.main([str(path), "-o", str(out), *DAY, *more]) == 0
+    z = open_model(path, None, "", None, None).source.read((slice(0, 129), slice(0, 129)))
+    row, column = np.unravel_index(z.argmax(), z.shape)
+    states = _bands(codes)
+    assert not (states[:, row, column] == 2).any() and (states == 2).any() and not (states == 3).any()
+    assert _bands(out)[0].max() == 12.0 * 3600.0
