@@ -152,9 +152,8 @@ def run(plan: Plan, source: Source, parts: Parts, jobs: int, device: str | None,
     worker = _Worker(plan, source, device, max(1, len(os.sched_getaffinity(0)) // jobs))
     spawn = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(jobs, len(left)), mp_context=spawn, initializer=_begin, initargs=(worker,))
-    ahead = iter(
-        left
-    )  # few are handed over at a time, so that an interrupted run ends soon, however often Ctrl-C comes
+    # Few are handed over at a time, so that an interrupted run ends soon, however often Ctrl-C comes.
+    ahead = iter(left)
     try:
         open_ones = {pool.submit(_work, number, parts.path(number)) for number in islice(ahead, 2 * jobs)}
         while open_ones:
