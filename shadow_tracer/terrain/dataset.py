@@ -134,4 +134,11 @@ def dataset(gathered: Gathered, plan: Plan, coordinates: dict[str, Any], dims: t
             "lower bounds, the longest darkness is an upper bound; unknown_duration says by how much."
         ),
     }
-    return xarray().Dataset(variables, coords={"time": times, **coordinates}, attrs=attributes)
+    found = xarray().Dataset(variables, coords={"time": times, **coordinates}, attrs=attributes)
+    for name in ("time", "time_bnds"):  # CF wants the same units for both
+        found[name].encoding = {
+            "units": "seconds since 1970-01-01 00:00:00",
+            "calendar": "standard",
+            "dtype": "float64",
+        }
+    return found

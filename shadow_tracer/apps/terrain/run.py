@@ -13,6 +13,7 @@ import shutil
 import zipfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -151,13 +152,16 @@ def run(plan: Plan, source: Source, parts: Parts, jobs: int, device: str | None,
     worker = _Worker(plan, source, device, max(1, len(os.sched_getaffinity(0)) // jobs))
     spawn = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(jobs, len(left)), mp_context=spawn, initializer=_begin, initargs=(worker,))
+    # Few are handed over at a time, so that an interrupted run ends soon, however often Ctrl-C comes.
+    ahead = iter(left)
     try:
-        open_ones = {pool.submit(_work, number, parts.path(number)) for number in left}
+        open_ones = {pool.submit(_work, number, parts.path(number)) for number in islice(ahead, 2 * jobs)}
         while open_ones:
             finished, open_ones = wait(open_ones, return_when=FIRST_COMPLETED)
             for each in finished:
                 each.result()
                 done(1)
+            open_ones |= {pool.submit(_work, each, parts.path(each)) for each in islice(ahead, len(finished))}
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
     return before

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from shadow_tracer.apps.terrain.days import day_of, irradiance_of, seconds_of, times_of, zone_of
 from shadow_tracer.apps.terrain.georeference import Georeference, TerrainError, locate
@@ -18,6 +19,10 @@ from shadow_tracer.apps.terrain.reading import Model, open_model
 from shadow_tracer.terrain.plan import Plan, make_plan
 from shadow_tracer.terrain.sunlight import BEYOND, check_options
 from shadow_tracer.terrain.suns import SOLAR_CONSTANT, suns
+
+if TYPE_CHECKING:
+    from shadow_tracer.apps.terrain.pictures import Pictures
+    from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput
 
 NEEDED = ("ephem", "h5netcdf", "h5py", "matplotlib", "PIL", "rasterio", "rich", "xarray")
 
@@ -72,16 +77,21 @@ def perform(chosen: argparse.Namespace) -> int:
     for line in _warnings(plan):
         print(f"warning: {line}", file=sys.stderr)
     options = (chosen.band, chosen.variable, chosen.resolution, chosen.nodata)
-    parts = Parts(chosen.output.with_name(chosen.output.name + ".parts"), key_of(plan, chosen.dem, *options),
-                  chosen.restart)  # fmt: skip
+    folder = chosen.output.with_name(chosen.output.name + ".parts")
+    parts = Parts(folder, key_of(plan, chosen.dem, *options), chosen.restart)
     before = _with_progress(
         len(plan.tiles), lambda done: run(plan, model.source, parts, chosen.jobs, chosen.device, done)
     )
     with ExitStack() as stack:
-        sinks = _sinks(chosen, plan, where, model, stack)
+        pictures = _pictures(chosen, plan)
+        sinks = [_output(chosen, plan, where, model, stack).put, *([pictures.put] if pictures else [])]
         for window, result in results(plan, parts):
             for put in sinks:
                 put(window, result)
+    if pictures and chosen.png:
+        pictures.png(chosen.png)
+    if pictures and chosen.gif:
+        pictures.gif(chosen.gif)
     parts.remove()
     _summarise(chosen, plan, where, before, time.monotonic() - start)
     return 0
@@ -143,27 +153,25 @@ def _with_progress(tiles: int, work: Callable[[Callable[[int], None]], int]) -> 
         return work(lambda count: progress.advance(task, count))
 
 
-def _sinks(
+def _output(
     chosen: argparse.Namespace, plan: Plan, where: Georeference, model: Model, stack: ExitStack
-) -> list[Callable[..., None]]:
+) -> NetCdfOutput | TiffOutput:
     """What takes the tiles; all is written when the stack is closed."""
-    from shadow_tracer.apps.terrain.pictures import Pictures
     from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput
 
-    sinks: list[Callable[..., None]] = []
     if chosen.output.suffix == ".nc":
-        sinks.append(stack.enter_context(NetCdfOutput(chosen.output, plan, where)).put)
-    else:
-        sinks.append(stack.enter_context(TiffOutput(chosen.output, chosen.codes, plan, where, model.point)).put)
-    if chosen.png or chosen.gif:
-        days = chosen.date if not chosen.until else f"{chosen.date} to {chosen.until}"
-        pictures = Pictures(plan, f"{chosen.dem.name}, {days}", chosen.gif is not None)
-        sinks.append(pictures.put)
-        if chosen.png:
-            stack.callback(pictures.png, chosen.png)
-        if chosen.gif:
-            stack.callback(pictures.gif, chosen.gif)
-    return sinks
+        return stack.enter_context(NetCdfOutput(chosen.output, plan, where))
+    return stack.enter_context(TiffOutput(chosen.output, chosen.codes, plan, where, model.point))
+
+
+def _pictures(chosen: argparse.Namespace, plan: Plan) -> Pictures | None:
+    """What takes the tiles for pictures, if any are wanted."""
+    from shadow_tracer.apps.terrain.pictures import Pictures
+
+    if chosen.png is None and chosen.gif is None:
+        return None
+    days = chosen.date if not chosen.until else f"{chosen.date} to {chosen.until}"
+    return Pictures(plan, f"{chosen.dem.name}, {days}", chosen.gif is not None)
 
 
 def _summarise(chosen: argparse.Namespace, plan: Plan, where: Georeference, before: int, seconds: float) -> None:

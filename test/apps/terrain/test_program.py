@@ -16,6 +16,7 @@ for _name in ("ephem", "h5netcdf", "h5py", "matplotlib", "PIL", "rasterio", "ric
 
 from shadow_tracer import HeightField, Place, sunlight  # noqa: E402
 from shadow_tracer.apps.terrain import run, terrain  # noqa: E402
+from shadow_tracer.apps.terrain.georeference import TerrainError  # noqa: E402
 from shadow_tracer.apps.terrain.reading import open_model  # noqa: E402
 
 DAY = ["--date", "2026-03-20", "--every", "2h", "--device", "cpu"]
@@ -74,6 +75,7 @@ def test_the_program_and_the_library_say_the_same(model) -> None:
     with xarray.open_dataset(out, engine="h5netcdf", decode_timedelta=False) as file:
         assert np.array_equal(file.sun_code, found.sun_code)
         assert np.array_equal(file.direct_exposure, found.direct_exposure, equal_nan=True)
+        assert np.array_equal(file.time, found.time) and np.array_equal(file.time_bnds, found.time_bnds)
         assert file.x.values[0] == 440_005.0 and file.y.values[0] == 5_099_995.0
         assert "UTM zone 32N" in file.spatial_ref.crs_wkt and file.sun_code.grid_mapping == "spatial_ref"
     assert isinstance(where.place, Place)
@@ -121,6 +123,21 @@ def test_an_interrupted_run_goes_on_and_gives_the_same_bytes(model, monkeypatch,
     assert terrain.main(command) == 0
     assert "9 tiles, 2 of them from the run before" in capsys.readouterr().out
     assert out.read_bytes() == whole
+
+
+@pytest.mark.parametrize("name", ["sun.tif", "sun.nc"])
+def test_an_output_is_whole_or_not_there(model, monkeypatch, capsys, name) -> None:
+    results = run.results
+
+    def ends_early(plan, parts):
+        yield next(results(plan, parts))
+        raise TerrainError("parts/000001.npz: has gone")
+
+    monkeypatch.setattr(run, "results", ends_early)
+    more = ["--tile", "16", "--png", str(model.with_name("sun.png"))]
+    command = [str(model), "-o", str(model.with_name(name)), *DAY, *more]
+    assert terrain.main(command) == 1 and "has gone" in capsys.readouterr().err
+    assert sorted(path.name for path in model.parent.iterdir()) == ["dem.tif", f"{name}.parts"]
 
 
 @pytest.mark.slow
