@@ -14,12 +14,12 @@ by 3 u (|o| + 2); with |o| <= 2^20 = ``FAR_AWAY`` and tan <= 15 that is below 2^
 is shown every triangle. Slopes below 1e-20 are taken as that, which moves points by less than 1e-13.
 
 *Sixteen at a time.* That is in float32, u = 2^-24 from here on, for apices with |o| <= 2. The origin is off by 2 u, the
-difference to a bound by 3 u, and t by 4 u relative, which moves a point by 12 u: less than 27 u together. Slopes are off
-by 2 u (1 + tan), and ``ADDED`` to them are 16 u (1 + tan). A block's triangle is left out where ``Cone.far_off`` says so
-with a rougher band: with s the sum of the corners from the apex and n = s - v (v . s), G(x) = n . x - tan |n| v . x is
-linear. As rounded it is at most 30 u (1 + tan) |s| |x| in the cone: n is off by 20 u |s|, v by u, tan by u. A corner is
-within 14 u of the real one, so G there is right to within (1 + tan) |s| (14 u + 10 u |x|). ``ROUGH`` = 128 u, times
-(1 + tan) |s| (1/4 + the sum of the corners' sizes), is more than both, sizes being sums of absolute values.
+difference to a bound by 3 u, and t by 4 u relative, which moves a point by 12 u: less than 27 u together. Slopes are
+off by 2 u (1 + tan), and ``ADDED`` to them are 16 u (1 + tan). A block's triangle is left out where ``Cone.far_off``
+says so with a rougher band: with s the sum of the corners from the apex and n = s - v (v . s), G(x) = n . x - tan |n| v
+. x is linear. As rounded it is at most 30 u (1 + tan) |s| |x| in the cone: n is off by 20 u |s|, v by u, tan by u. A
+corner is within 14 u of the real one, so G there is right to within (1 + tan) |s| (14 u + 10 u |x|). ``ROUGH`` = 128 u,
+times (1 + tan) |s| (1/4 + the sum of the corners' sizes), is more than both, sizes being sums of absolute values.
 
 *Nearest triangles.* What is inside the cone by roundings of the triangle's test may be outside by some 1e-8 of its
 distance (a square root of roundings, where an edge touches the cone), so ``ADDED`` is added to the slopes of the
