@@ -2,7 +2,8 @@
 """Cones through the tree of ``bvh/sah``: what is certain of each, and the triangles nearest to its apex.
 
 After Wiche and Kuri 2020: "Performance Evaluation of Acceleration Structures for Cone-Tracing Traversal". One thread
-takes a cone, through the tree with two children per node, nearer child first, in either form.
+takes a cone, through the tree with two children per node, nearer child first; on the CPU outcomes go through the tree
+with sixteen, and test the sixteen triangles of a block at a time.
 
 *Boxes.* A box is met if, at some distance t along the axis up to the cone's length, it meets the box of the disc there:
 o + t (v + w) >= low and o + t (v - w) <= high on each axis, where w = tan(half angle) sqrt(1 - v^2). These are six
@@ -11,6 +12,14 @@ extent E. Boxes are padded by 2^-19 (``segment.py``) and rounded outwards, so 27
 in float64, u = 2^-53: the origin is off by 3 u |o|, v and w by 8 u (1 + tan) t, t by 3 u relative, which moves a point
 by 3 u (|o| + 2); with |o| <= 2^20 = ``FAR_AWAY`` and tan <= 15 that is below 2^-24 together. A cone from farther away
 is shown every triangle. Slopes below 1e-20 are taken as that, which moves points by less than 1e-13.
+
+*Sixteen at a time.* That is in float32, u = 2^-24 from here on, for apices with |o| <= 2. The origin is off by 2 u, the
+difference to a bound by 3 u, and t by 4 u relative, which moves a point by 12 u: less than 27 u together. Slopes are
+off by 2 u (1 + tan), and ``ADDED`` to them are 16 u (1 + tan). A block's triangle is left out where ``Cone.far_off``
+says so with a rougher band: with s the sum of the corners from the apex and n = s - v (v . s), G(x) = n . x - tan |n| v
+. x is linear. As rounded it is at most 30 u (1 + tan) |s| |x| in the cone: n is off by 20 u |s|, v by u, tan by u. A
+corner is within 14 u of the real one, so G there is right to within (1 + tan) |s| (14 u + 10 u |x|). ``ROUGH`` = 128 u,
+times (1 + tan) |s| (1/4 + the sum of the corners' sizes), is more than both, sizes being sums of absolute values.
 
 *Nearest triangles.* What is inside the cone by roundings of the triangle's test may be outside by some 1e-8 of its
 distance (a square root of roundings, where an edge touches the cone), so ``ADDED`` is added to the slopes of the

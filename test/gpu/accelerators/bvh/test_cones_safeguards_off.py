@@ -43,7 +43,7 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
     ),
     "covers by planes of any place": (
         _OUTCOMES,
-        "sheet_hide",
+        "reaches_through",
         ("exact/cone.h", "return cut_by(p) && on_side", "return on_side"),
     ),
     "bands that forgive": (_OUTCOMES, "rims", ("accelerators/bvh/cones.py", "CONE_BAND=1e-13", "CONE_BAND=-1e-13")),
