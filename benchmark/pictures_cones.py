@@ -54,7 +54,7 @@ def _tracer() -> ShadowTracer:
         tracer.scene.put(f"crate {number}", *_box((x, y, 0.05), (x + 0.7, y + 0.6, 0.9)))
     tracer.scene.put("ball", *_ball((0.9, 1.2, 1.0), 0.55))
     tracer.scene.put("bar", *_box((-2.5, -0.05, 1.2), (2.5, 0.05, 1.3)))
-    tracer.scene.put("wire", *_box((-2.5, -2.405, 0.6), (2.5, -2.395, 0.61)))
+    tracer.scene.put("wire", *_box((-2.5, -2.405, 0.7), (2.5, -2.395, 0.71)))
     return tracer
 
 

@@ -51,7 +51,6 @@ from shadow_tracer.scene.checks import FloatArray
 FREE, PARTLY, BLOCKED = 0, 1, 2
 # Cones asked about at once, and places of their lists.
 PIECE, PLACES = 1 << 16, 1 << 19
-MOST_HITS = 4096
 NO_BUDGET = 2**31 - 1
 native.constants(CONE_FREE=FREE, CONE_PARTLY=PARTLY, CONE_BLOCKED=BLOCKED)
 native.constants(CONE_FAR_AWAY=2.0**20, CONE_ADDED=1e-6, CONE_BAND=1e-13, CONE_ROUGH=2.0**-17)
