@@ -1,7 +1,8 @@
 // needs: exact/determinant.h
 // constants: GAP_VERTEX
 // Triangles that cast nothing for a light: those that it sees edge-on, that have no area or a corner that is not a
-// number, and those whose front faces it, if these are culled; not those of gaps. As records count them (exact/records.h).
+// number, and those whose front faces it, if these are culled; not those of gaps. As records count them
+// (exact/records.h).
 struct SilentTriangles {
     static inline void count(int first, int last, const wp::vec4d& light, int cull,
                              const wp::array_t<wp::vec3d>& vertices, const wp::array_t<wp::vec3i>& triangles, int row,
