@@ -11,9 +11,12 @@ struct Walk1 {
         if (place != Segment::MEETS)
             return;
         segment.shorten(query, tree.box);
-        const wp::vec3 beside = segment.above - segment.origin; // of a point, along each axis at most
-        Descent1 descent(tree, segment.origin, segment.direction, segment.longest,
-                         sqrtf(beside[0] * beside[0] + beside[1] * beside[1] + beside[2] * beside[2]));
+        float beside = 0.0f; // of a point, along all axes together
+        for (int k = 0; k < 3; ++k) {
+            const float most = segment.above[k] - segment.origin[k];
+            beside += most * most;
+        }
+        Descent1 descent(tree, segment.origin, segment.direction, segment.longest, sqrtf(beside));
         descent.go(query, &segment, Descent1::NO_END);
     }
 };
