@@ -20,7 +20,7 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     ),
     "boxes that are followed once a frame": (
         "recorded and grid",
-        [("engine/area_lights.py", "            share.follow()", "            pass")],
+        [("engine/area_lights.py", "            band.follow()", "            pass")],
     ),
     "nobody comes back": (
         "not_see and (brute or linear or packed)",

@@ -41,7 +41,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "boxes kept when the scene changes": (
         _CANDIDATES,
         "only_what",
-        [("occluders/clusters.py", "blocks(changed.triangles, CLUSTER * _BOXES, scene.triangle_count)", "()")],
+        [("occluders/clusters.py", "blocks(changed, CLUSTER * _BOXES, scene.triangle_count)", "()")],
     ),
     "records kept when the light moves": (
         _CANDIDATES,

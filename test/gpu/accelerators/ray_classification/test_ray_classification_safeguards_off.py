@@ -38,7 +38,13 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     ),
     "lists of another scene": (
         "unlike",
-        [(_RAYS + "ray_classification.py", "self._forget(always=True)", "self._forget(always=self._made_for is None)")],
+        [
+            (
+                _RAYS + "ray_classification.py",
+                "self.forget_lists(always=True)",
+                "self.forget_lists(always=self._made_for is None)",
+            )
+        ],
     ),
     "a list that does not fit is cut off": (
         "memory",
