@@ -164,6 +164,6 @@ def make_pipeline(name: str, variant: str, context: Context) -> Accelerator:
     module, _, kind = where.partition(":")
     walkers: Any = import_module("shadow_tracer.gpu.accelerators.walker")
     made: Any = getattr(import_module(f"shadow_tracer.gpu.accelerators.{module}"), kind)
-    walks = issubclass(made, walkers.Build)
+    walks = isinstance(made, type) and issubclass(made, walkers.Build)
     pipeline: Accelerator = walkers.walker(made, variant, context) if walks else made(variant, context)
     return pipeline
