@@ -22,7 +22,7 @@ _MUTANTS: dict[str, tuple[str, tuple[bool, bool], list[Change]]] = {
     "blocks without a band": (
         "tiny or edges",
         _USUAL,
-        [(_BVH + "bvh.py", "BLOCK_BAND=2.0**-17", "BLOCK_BAND=0.0")],
+        [(_BVH + "bvh.py", "BLOCK_BAND=2.0**-17", "BLOCK_BAND=2.0**-30")],
     ),
     "one side of triangles": (
         "answers",
