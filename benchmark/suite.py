@@ -57,7 +57,7 @@ _COLUMNS = {
     "memory": ("method", "device MB", "loaded MB", "peak MB", "more MB"),
 }
 _MEANING = {
-    "scenes": "Everybody on every view",
+    "scenes": "All on every view",
     "variants": "All variants of all pipelines",
     "rays": "More rays",
     "triangles": "More triangles",

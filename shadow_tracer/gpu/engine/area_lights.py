@@ -57,9 +57,9 @@ def trace_area_lights(
         counters, stages = light_points.add_up(counters, traced.counters), traced.stages
         for place, number, light in tally.area_lights(batch):
             points = light.homogeneous_points
-            together, spent = _is_bundle(working, place, points[:MASK_POINTS])
+            bundle, spent = _is_bundle(working, place, points[:MASK_POINTS])
             counters = _plus(counters, spent)
-            if not together:
+            if not bundle:
                 tally.divide(number)
                 continue
             for begin in range(0, light.samples, MASK_POINTS):

@@ -11,7 +11,7 @@ The law is multiplied by a factor that is learned: for each kind of frame (what 
 of two) the ratio of measured and lawful cost, a running mean over the frames that the candidate traced; for a kind of
 which it has traced none, the factor of the nearest kind it has; before any, that of :meth:`Chooser.calibrated`, or 1.
 The least expected cost wins; the current pipeline is kept until another is expected to take 15 percent less: changing
-costs a frame in which things are made anew. A candidate that is better than thought would never show it, so a near
+costs a frame in which things are made again. A candidate that is better than thought would never show it, so a near
 second is tried now and then, for two frames.
 
 The others are no candidates, as one of these is better wherever they are good. Measured on one core of the CPU with

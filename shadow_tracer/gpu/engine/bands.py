@@ -18,7 +18,7 @@ from shadow_tracer.scene.bounds import Bounds
 
 # Fewer samples for each band are not worth a thread.
 LEAST = 16384
-_WORTH = 0.04  # of a frame's time: cuts are not moved for less, as some of what is kept is made anew for others
+_WORTH = 0.04  # of a frame's time: cuts are not moved for less, as some of what is kept is made again for others
 _QUICK = 2  # moves after one frame each, to begin with
 _FRAMES = 4  # frames of which the median counts for all further moves
 _FARTHEST = 0.3  # parts of an even band that a cut is moved at once, should a time have been an accident

@@ -285,11 +285,11 @@ class FrameTracer:
         counters["overflow_passes"] = further + counters.pop("overflows")
         return Traced(found, gather_stages(self.stages, working), counters)
 
-    def _found(self, working: Sequence[Band], lights: int, anew: bool) -> PackedStates | npt.NDArray[np.uint8]:
-        """States, of which those of a GPU have been fetched; ``anew``: but have changed since."""
+    def _found(self, working: Sequence[Band], lights: int, changed: bool) -> PackedStates | npt.NDArray[np.uint8]:
+        """States, of which those of a GPU have been fetched; ``changed``: but not as they are now."""
         if not self._planes:
             return gather_states(working, lights)
-        if anew:
+        if changed:
             self._planes.pack(lights)
             self._planes.fetch(lights)
         return self._planes.read(lights)

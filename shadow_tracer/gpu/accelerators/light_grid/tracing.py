@@ -38,7 +38,7 @@ def start_part(units: int, part: int, bins: Bins, parts: wp.array(dtype=int), an
     capacity = wp.int64(bins.capacity)
     bins.emitted[0] = int(wp.min(wp.max(total - wp.int64(part) * capacity, wp.int64(0)), capacity))
     parts[0] = int(wp.min((total + capacity - wp.int64(1)) / capacity, wp.int64(2147483647)))
-    # The last part says it for all: a frame that needs parts begins anew.
+    # The last part says it for all: a frame that needs parts begins again.
     if wp.int64(part) == wp.max(total - wp.int64(1), wp.int64(0)) / capacity:
         wp.atomic_add(answers.counters, 0, ENTRIES, total)
     if part == 0:
