@@ -402,7 +402,7 @@ def bits_of(msg: Image) -> np.ndarray:
     return np.frombuffer(msg.data, kind).reshape(msg.height, msg.width)
 
 
-@pytest.mark.parametrize("count", [3, 8, 9, 16])
+@pytest.mark.parametrize("count", [3, 8, 9, pytest.param(16, marks=pytest.mark.slow)])
 def test_light_bits_follow_the_parameter_lights(tracer: ShadowTracer, count: int) -> None:
     """Bit i is light i of the parameter, whichever are disabled; more than 8 lights need 16 bits."""
     names = [f"l{k}" for k in range(count)]
