@@ -36,6 +36,8 @@ padded box no later than any point that the exact ray has in the box without pad
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -78,6 +80,12 @@ def holds(held: tuple[FloatArray, FloatArray], low: FloatArray, high: FloatArray
     """Whether a box around ``held`` serves for another: it holds that, and is not twice as large."""
     inside = np.all(held[0] <= low) and np.all(high <= held[1])
     return bool(inside and (held[1] - held[0]).max() <= 2.0 * (high - low).max())
+
+
+@wp.func
+def along(v: Any, axis: int) -> Any:
+    """A component. Not by an index: on CUDA it would put the vector into local memory."""
+    return wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2]))
 
 
 @wp.func

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.segment import OUTSIDE, SceneBox
+from shadow_tracer.gpu.accelerators.segment import OUTSIDE, SceneBox, along
 from shadow_tracer.gpu.device import native
 
 LEVELS = 6  # each halves a cell along all five axes
@@ -96,12 +96,6 @@ def begin(always: int, tree: Structure):
 
 
 @wp.func
-def along(v: wp.vec3, axis: int) -> float:
-    """A component. Not by an index: on CUDA it would put the vector into local memory."""
-    return wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2]))
-
-
-@wp.func
 def spans(low: float, high: float, u: float, half: float, nearest: float, farthest: float) -> bool:
     """Whether directions between u - half and u + half get between low and high, at distances along the major axis
     between these two."""
@@ -137,6 +131,20 @@ def halved(code: int, bit: int, half: float) -> float:
     return wp.where((code >> bit) & 1 != 0, half, -half)
 
 
+@wp.func
+def reserve(tree: Structure, count: int) -> int:
+    """The first of so many new members, -1 if there is no room. No thread takes what does not fit to give it back: what
+    another took in between would be taken again."""
+    at = int(tree.used[0])
+    found = int(-1)
+    while found < 0 and at + count <= tree.members.shape[0]:
+        before = wp.atomic_cas(tree.used, 0, at, at + count)
+        if before == at:
+            found = at
+        at = before
+    return found
+
+
 @wp.kernel(enable_backward=False)
 def make_lists(stride: int, lowers: wp.array(dtype=wp.vec3), uppers: wp.array(dtype=wp.vec3), tree: Structure):
     """Lists of the nodes that have been asked for, from those of their parents. Each thread takes some nodes."""
@@ -162,9 +170,8 @@ def make_lists(stride: int, lowers: wp.array(dtype=wp.vec3), uppers: wp.array(dt
                 few += 1
         at = first
         if few < count:
-            at = wp.atomic_add(tree.used, 0, few)
-            if at + few > tree.members.shape[0]:
-                wp.atomic_sub(tree.used, 0, few)
+            at = reserve(tree, few)
+            if at < 0:
                 tree.used[2] = 1
                 at = first  # the parent's list, which holds more
                 few = count
