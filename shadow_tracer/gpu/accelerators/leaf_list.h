@@ -8,12 +8,6 @@ struct LeafList {
     // Shows the triangles of a leaf; true if that was enough.
     static inline bool show(const wp::array_t<int>& members, const wp::vec2i& leaf, Mailboxes& mailboxes,
                             Query1& query) {
-        const int last = leaf[0] + (leaf[1] >> 2);
-        for (int k = leaf[0]; k < last; ++k) {
-            const int triangle = members.data[k];
-            if (!mailboxes.hold(triangle) && query.visit(triangle))
-                return true;
-        }
-        return false;
+        return mailboxes.show(members, leaf[0], leaf[0] + (leaf[1] >> 2), query);
     }
 };

@@ -1,9 +1,8 @@
-// needs: query accelerators/segment.h
+// needs: query accelerators/segment.h accelerators/mailboxes.h
 // arguments: Structure structure
 // constants: GRID_DEPTHS
 // From cell to cell of grids within cells; see hierarchical_grid.py.
 struct Walk1 {
-    enum { MAILBOXES = 16 };
     // A cell of a grid, where the ray leaves it along each axis, and where it leaves the cell that holds the grid.
     struct Place {
         int grid, cell[3];
@@ -48,10 +47,7 @@ struct Walk1 {
                 at.next[k] = leave(k);
             }
         };
-        // The triangles shown last: most lie in several cells.
-        int shown[MAILBOXES];
-        for (int k = 0; k < MAILBOXES; ++k)
-            shown[k] = -1;
+        Mailboxes mailboxes;
         enter(0, segment.longest);
         for (;;) {
             ++query.nodes;
@@ -66,15 +62,9 @@ struct Walk1 {
                 enter(inner, until);
                 continue;
             }
-            for (int k = structure.start.data[number]; k < structure.start.data[number + 1]; ++k) {
-                const int triangle = structure.members.data[k];
-                int& box = shown[triangle % MAILBOXES];
-                if (box == triangle)
-                    continue;
-                box = triangle;
-                if (query.visit(triangle))
-                    return;
-            }
+            const int* start = structure.start.data + number;
+            if (mailboxes.show(structure.members, start[0], start[1], query))
+                return;
             while (!(at.next[axis] <= at.until)) {
                 if (!depth)
                     return;

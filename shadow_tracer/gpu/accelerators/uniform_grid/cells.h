@@ -1,9 +1,7 @@
-// needs: query accelerators/segment.h
+// needs: query accelerators/segment.h accelerators/mailboxes.h
 // arguments: Structure structure
 // From cell to cell (Amanatides and Woo 1987); see uniform_grid.py.
 struct Walk1 {
-    enum { MAILBOXES = 16 };
-
     static inline void walk(const Structure& structure, Query1& query) {
         Segment segment;
         const int place = segment.place(query, structure.box);
@@ -30,22 +28,13 @@ struct Walk1 {
         };
         for (int k = 0; k < 3; ++k)
             next[k] = leave(k);
-        // The triangles shown last: most lie in several cells.
-        int shown[MAILBOXES];
-        for (int k = 0; k < MAILBOXES; ++k)
-            shown[k] = -1;
+        Mailboxes mailboxes;
         for (;;) {
             ++query.nodes;
             const int number = (cell[2] * shape.count[1] + cell[1]) * shape.count[0] + cell[0];
-            for (int k = structure.start.data[number]; k < structure.start.data[number + 1]; ++k) {
-                const int triangle = structure.members.data[k];
-                int& box = shown[triangle % MAILBOXES];
-                if (box == triangle)
-                    continue;
-                box = triangle;
-                if (query.visit(triangle))
-                    return;
-            }
+            const int* start = structure.start.data + number;
+            if (mailboxes.show(structure.members, start[0], start[1], query))
+                return;
             segment.shorten(query, structure.box);
             const int axis = next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);
             if (!(next[axis] <= segment.longest))

@@ -15,8 +15,8 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         "tiny",
         [("accelerators/segment.py", "padding = wp.float64(PADDING)", "padding = wp.float64(0.0)")],
     ),
-    "a mailbox of another triangle": ("short_list", [(_WALK, "box == triangle", "box >= 0")]),
-    "no mailboxes": ("mailboxes", [(_WALK, "box == triangle", "false")]),
+    "a mailbox of another triangle": ("short_list", [("accelerators/mailboxes.h", "box == triangle", "box >= 0")]),
+    "no mailboxes": ("mailboxes", [("accelerators/mailboxes.h", "box == triangle", "false")]),
     "a grid left before its cell is": (
         "planes",
         [(_WALK, "at.next[axis] < at.until ? at.next[axis] : at.until", "0.9f * at.next[axis]")],

@@ -14,8 +14,8 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         "tiny",
         [("accelerators/segment.py", "padding = wp.float64(PADDING)", "padding = wp.float64(0.0)")],
     ),
-    "a mailbox of another triangle": ("mailboxes", [(_GRID + "cells.h", "box == triangle", "box >= 0")]),
-    "no mailboxes": ("mailboxes", [(_GRID + "cells.h", "box == triangle", "false")]),
+    "a mailbox of another triangle": ("mailboxes", [("accelerators/mailboxes.h", "box == triangle", "box >= 0")]),
+    "no mailboxes": ("mailboxes", [("accelerators/mailboxes.h", "box == triangle", "false")]),
     "an end before the light": (
         "planes",
         [(_GRID + "cells.h", "next[axis] <= segment.longest", "next[axis] <= 0.5f * segment.longest")],
