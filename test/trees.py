@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trees over space as tests look at them: nodes of a tracer's structure, the boxes of its leaves, and their
-triangles."""
+"""Trees over space as tests look at them: nodes of a tracer's structure, the boxes of its leaves, and their triangles;
+and scenes for structures over space."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import geometry
@@ -31,6 +32,35 @@ def hidden(tracer: ShadowTracer, mesh: geometry.Geometry, points: np.ndarray, li
 def mesh_of(corners: np.ndarray) -> geometry.Geometry:
     """(T, 3, 3) triangles that share nothing."""
     return corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)
+
+
+def equal(tracer: ShadowTracer, mesh: geometry.Geometry, points: np.ndarray, light: Any) -> np.ndarray:
+    """Which points both the tracer and every triangle hide."""
+    expected = hidden(tracer_of(tracer.device, "brute_force"), mesh, points, light)
+    found = hidden(tracer, mesh, points, light)
+    assert np.array_equal(found, expected), (found != expected).sum()
+    return expected
+
+
+_UNLIKE = ["clusters ball", "ball", "", "soup", "soup clusters ball", "clusters ball", "soup ball", "soup"]
+_UNLIKE += ["clusters", "dot", "soup clusters", "soup clusters", "clusters"]
+
+
+def unlike_scenes(
+    rng: np.random.Generator, tracers: Sequence[ShadowTracer], number: int = 2500
+) -> Iterator[tuple[int, int]]:
+    """Large and small scenes, none, and such with gaps where parts have gone, put into tracers in turn: the number of
+    each, and of its triangles. ``number``: of triangles of the largest part."""
+    ball, soup = geometry.icosphere(3, 0.3, (0.2, 0.1, 0.0)), geometry.soup(rng, 300, 0.3, 2.0)
+    made = {"clusters": mesh_of(clusters(rng, number)), "ball": ball, "soup": soup, "dot": (ball[0] * 1e-3, ball[1])}
+    for frame, names in enumerate(_UNLIKE):
+        for tracer in tracers:
+            for name, mesh in made.items():
+                if name in names.split():
+                    tracer.scene.put(name, *mesh)
+                elif name in tracer.scene:
+                    tracer.scene.remove(name)
+        yield frame, sum(len(made[name][1]) for name in names.split())
 
 
 class Tree:

@@ -3,32 +3,27 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import geometry
 import numpy as np
 import probe
 import pytest
-from trees import Tree, clusters, hidden, mesh_of, tracer_of
+from trees import Tree, clusters, equal, hidden, mesh_of, tracer_of, unlike_scenes
 
 from shadow_tracer import DirectionalLight, PointLight, ShadowTracer
+from shadow_tracer.gpu.accelerators.bsp.bsp import BinarySpacePartition
+from shadow_tracer.gpu.accelerators.kd_tree.kd_tree import KdTree
+from shadow_tracer.gpu.accelerators.octree.octree import Octree
 
 pytestmark = probe.in_both_forms
 
 _along_axes = pytest.mark.parametrize("pipeline", ["kd_tree", "octree"])
-_all_trees = pytest.mark.parametrize("pipeline", ["kd_tree", "octree", "bsp"])
+_BUILDS = {"kd_tree": KdTree, "octree": Octree, "bsp": BinarySpacePartition}
+_all_trees = pytest.mark.parametrize("pipeline", _BUILDS)
 
 _LAMP = PointLight("lamp", (0.013, -0.027, 3.1))
 _PADDING = 2.0**-19
-
-
-def _equal(device: str, pipeline: str, mesh: geometry.Geometry, points: np.ndarray, light: Any) -> np.ndarray:
-    """What both the tree and every triangle hide."""
-    expected = hidden(tracer_of(device, "brute_force"), mesh, points, light)
-    found = hidden(tracer_of(device, pipeline), mesh, points, light)
-    assert np.array_equal(found, expected), (found != expected).sum()
-    return expected
 
 
 @_along_axes
@@ -67,12 +62,11 @@ def test_a_short_list_makes_larger_leaves(any_device: str, pipeline: str, room: 
 
 
 @_all_trees
-@pytest.mark.parametrize("name", ["_NODES_PER_TRIANGLE", "_TRIANGLES_PER_CELL"])
+@pytest.mark.parametrize("name", ["nodes_per_triangle", "triangles_per_cell"])
 @pytest.mark.parametrize("few", [1, 40])
 def test_room_for_few(any_device: str, pipeline: str, monkeypatch: pytest.MonkeyPatch, name: str, few: int) -> None:
-    module = import_module(f"shadow_tracer.gpu.accelerators.{pipeline}.{pipeline}")
-    monkeypatch.setattr(module, name, 10**9 if name == "_TRIANGLES_PER_CELL" else 0)
-    monkeypatch.setattr(module, "_FEWEST", few)
+    monkeypatch.setattr(_BUILDS[pipeline], name, 10**9 if name == "triangles_per_cell" else 0)
+    monkeypatch.setattr(_BUILDS[pipeline], "fewest", few)
     corners, rng = clusters(np.random.default_rng(2), 600), np.random.default_rng(3)
     points = corners.mean(axis=1) - (0.0, 0.0, 1.0) * rng.uniform(0.0, 0.5, (len(corners), 1))
     light = DirectionalLight("sun", (0.0, 0.0, -1.0))
@@ -80,7 +74,7 @@ def test_room_for_few(any_device: str, pipeline: str, monkeypatch: pytest.Monkey
     tracer = tracer_of(any_device, pipeline)
     assert np.array_equal(hidden(tracer, mesh_of(corners), points, light), expected)
     tree = Tree(tracer)
-    if name == "_NODES_PER_TRIANGLE":
+    if name == "nodes_per_triangle":
         assert len(tree.leaves) + tree.inner <= few
     if few == 40:
         assert tree.inner > 3
@@ -109,7 +103,7 @@ def test_tiny_triangles_at_the_corners_of_cells(any_device: str, pipeline: str, 
     light: Any = _LAMP if kind == "point" else DirectionalLight("sun", way)
     away = middle - light.position if kind == "point" else np.broadcast_to(way, middle.shape)
     points = middle + away / np.linalg.norm(away, axis=1, keepdims=True) * rng.uniform(0.3, 3.0, (number, 1))
-    assert _equal(any_device, pipeline, mesh_of(np.concatenate([core, more])), points, light).mean() > 0.5
+    assert equal(tracer_of(any_device, pipeline), mesh_of(np.concatenate([core, more])), points, light).mean() > 0.5
 
 
 @_along_axes
@@ -127,7 +121,7 @@ def test_rays_within_the_planes_between_cells(any_device: str, pipeline: str, ax
     points = np.concatenate([corners - 0.3 * way, corners + beside - 0.01 * way, ends - 0.2 * way, ends + beside])
     for sign in (1.0, -1.0):
         light = DirectionalLight("sun", sign * way + 1e-8 * (1.0 - way))
-        assert 20 < _equal(any_device, pipeline, mesh_of(core), points, light).sum() < len(points) - 20
+        assert 20 < equal(tracer_of(any_device, pipeline), mesh_of(core), points, light).sum() < len(points) - 20
 
 
 def _counted(tracer: ShadowTracer, points: np.ndarray, light: Any) -> dict[str, int]:
@@ -208,7 +202,7 @@ def test_triangles_that_no_plane_tells_apart(any_device: str, pipeline: str, siz
     one = size * rng.uniform(-1, 1, (1, 3, 3))
     corners = np.concatenate([np.repeat(one, 60, axis=0), clusters(rng, 100)])
     points = rng.uniform(-1, 1, (500, 3)) * (size, size, 1.0) - (0.0, 0.0, 1.0)
-    _equal(any_device, pipeline, mesh_of(corners), points, _LAMP)
+    equal(tracer_of(any_device, pipeline), mesh_of(corners), points, _LAMP)
     tracer = tracer_of(any_device, pipeline)
     hidden(tracer, mesh_of(corners), points, _LAMP)
     tree = Tree(tracer)
@@ -222,7 +216,7 @@ def test_samples_far_away_and_beside_the_box(any_device: str, pipeline: str) -> 
     mesh, ways = geometry.icosphere(2, 1.0), geometry.directions(rng, 300)
     points = np.concatenate([ways * far for far in (1.0, 1.5, 1e3, 6.7e7, 6.8e7, 1e15)])
     for light in (PointLight("inside", (0.1, 0.0, 0.2)), PointLight("outside", (3.0, 1.0, 0.5))):
-        assert _equal(any_device, pipeline, mesh, points, light).any()
+        assert equal(tracer_of(any_device, pipeline), mesh, points, light).any()
 
 
 @_all_trees
@@ -231,30 +225,20 @@ def test_flat_scenes(any_device: str, pipeline: str, half: tuple[float, float, f
     corners, rng = clusters(np.random.default_rng(8), 800) * half, np.random.default_rng(9)
     points = corners.mean(axis=1) + rng.uniform(-1.5, 0.0, (len(corners), 1)) * (0.3, 0.2, 1.0)
     light = DirectionalLight("sun", (-0.3, -0.2, -1.0))
-    assert _equal(any_device, pipeline, mesh_of(corners), points, light).any() == (half != (0, 0, 0))
+    assert equal(tracer_of(any_device, pipeline), mesh_of(corners), points, light).any() == (half != (0, 0, 0))
 
 
 @_all_trees
 def test_unlike_frames(any_device: str, pipeline: str) -> None:
-    """Large and small scenes, none, and such with gaps where parts have gone, on one tracer: nothing of a frame before
-    is read."""
+    """Nothing of a frame before is read."""
     rng = np.random.default_rng(10)
     tracer, oracle = tracer_of(any_device, pipeline), tracer_of(any_device, "brute_force")
-    ball, soup = geometry.icosphere(3, 0.3, (0.2, 0.1, 0.0)), geometry.soup(rng, 300, 0.3, 2.0)
-    made = {"clusters": mesh_of(clusters(rng, 2500)), "ball": ball, "soup": soup, "dot": (ball[0] * 1e-3, ball[1])}
     points, gaps = rng.uniform(-1.2, 1.2, (800, 3)), False
-    frames = ["clusters ball", "ball", "", "soup", "soup clusters ball", "clusters ball", "soup ball", "soup"]
-    for names in [*frames, "clusters", "dot", "soup clusters"]:
-        for each in (tracer, oracle):
-            for name, mesh in made.items():
-                if name in names.split():
-                    each.scene.put(name, *mesh)
-                elif name in each.scene:
-                    each.scene.remove(name)
+    for _, triangles in unlike_scenes(rng, (tracer, oracle)):
         assert np.array_equal(tracer.occluded(points, _LAMP), oracle.occluded(points, _LAMP))
-        if names:
+        if triangles:
             held = set(Tree(tracer).held().tolist())
-            assert len(held) == sum(len(made[name][1]) for name in names.split()), "those of gaps are in no leaf"
+            assert len(held) == triangles, "those of gaps are in no leaf"
             gaps |= max(held) >= len(held)
     assert gaps, "no scene has one"
 
@@ -294,8 +278,8 @@ def test_bsp_planes_that_meet_in_a_point(any_device: str, pipeline: str) -> None
         [starts[:, :, None], starts[:, :, None] + rng.uniform(-100, 100, (number, 30, 2, 3))], axis=2
     )
     mesh = mesh_of(np.concatenate([touched, others.reshape(-1, 3, 3)]))
-    assert _equal(any_device, pipeline, mesh_of(touched), points, light).all()
-    assert _equal(any_device, pipeline, mesh, points, light).all()
+    assert equal(tracer_of(any_device, pipeline), mesh_of(touched), points, light).all()
+    assert equal(tracer_of(any_device, pipeline), mesh, points, light).all()
 
 
 @pytest.mark.parametrize("pipeline", ["bsp"])

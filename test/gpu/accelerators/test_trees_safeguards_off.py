@@ -86,24 +86,26 @@ _ROUNDS: list[dict[str, Mutant]] = [
         "kd_tree": (
             "members of the lower child alone",
             "members",
-            [(_KD_SPLITS, "append(references, level, triangle, high)", "pass")],
+            [("accelerators/references.py", "append(growth, level, growth.triangle[r], high)", "pass")],
         ),
         "octree": (
             "members of the first child alone",
             "members",
-            [(_OCTREE_SPLITS, "append(references, level, triangle, here.octants[place, k])", "pass")],
+            [(_OCTREE_SPLITS, "append(growth, level, triangle, here.octants[place, k])", "pass")],
         ),
-        "bsp": (
-            "members of the lower half alone",
-            "short_list",
-            [(_BSP_SPLITS, "append(references, level, triangle, high)", "pass")],
-        ),
+        "bsp": ("members of the lower half alone", "short_list", []),
     },
     {
         "kd_tree": (
             "members of one child alone at the plane",
             "tiny",
-            [(_KD_SPLITS, "        if is_low:\n", "        if is_low and along(upper, axis) > plane + 1.0e-5:\n")],
+            [
+                (
+                    _KD_SPLITS,
+                    "is_low = along(lower, axis) < plane",
+                    "is_low = along(lower, axis) < plane and not (0.0 < along(upper, axis) - plane < 1.0e-5)",
+                )
+            ],
         ),
     },
     {
@@ -122,7 +124,7 @@ _ROUNDS: list[dict[str, Mutant]] = [
         name: (
             "triangles of gaps are members",
             "unlike",
-            [("accelerators/references.py", "if lowers[i][0] >= OUTSIDE:", "if lowers[i][0] >= 2.0:")]
+            [("accelerators/references.py", "boxes_lower[i][0] >= OUTSIDE:", "boxes_lower[i][0] >= 2.0:")]
             if name == _ALL[0]
             else [],
         )

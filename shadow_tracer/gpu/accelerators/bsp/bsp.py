@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A binary space partition (Fuchs, Kedem, Naylor 1980: "On visible surface generation by a priori tree structures") of
-the triangles: a reference for structures whose planes lie anyhow, decided in float64 throughout. Slow: a step of a ray
-costs two planes' values, and building takes exact signs of three corners of every triangle at every level.
+the triangles: a reference for structures with planes of any direction, decided in float64 throughout. Slow: a step of a
+ray costs two planes' values, and building takes exact signs of three corners of every triangle at every level.
 
 A cell of more than eight triangles is cut by the plane through a random one of them, or by the plane through a corner
 of that across an axis, each in turn: by the one that leaves fewer pairs of triangles together, if these are less than
@@ -37,90 +37,45 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.bsp import splitting
 from shadow_tracer.gpu.accelerators.bsp.splitting import LEVELS, Cell, Level, Structure
-from shadow_tracer.gpu.accelerators.references import Lists
-from shadow_tracer.gpu.accelerators.segment import scene_box, triangle_boxes
-from shadow_tracer.gpu.accelerators.walker import Build, Walk
-from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.accelerators.references import SplitTree
+from shadow_tracer.gpu.accelerators.segment import SceneBox
+from shadow_tracer.gpu.accelerators.walker import Walk
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 
-_REFERENCES_PER_TRIANGLE = 8
-_NODES_PER_TRIANGLE = 2
-_TRIANGLES_PER_CELL = 4  # of a level
-_FEWEST = 64  # nodes, cells and references that a small scene may have
 
-
-class BinarySpacePartition(Build):
+class BinarySpacePartition(SplitTree):
     """The ``bsp`` pipeline."""
 
     walk = Walk("accelerators/bsp/halves.h", Structure)
+    kind = Structure
+    most_levels = LEVELS
+    nodes_per_triangle, triangles_per_cell = 2, 4
 
     def __init__(self, variant: str, scene: SceneBuffers) -> None:
         super().__init__(variant, scene)
-        bounds, device = scene.bounds, scene.device
-        triangles = bounds.max_triangles
-        self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
-        self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
-        self._lists = Lists(triangles, bounds.grid_entries, self._nodes_for(triangles), LEVELS, device)
-        self._active = wp.zeros(LEVELS + 1, dtype=int, device=device)
-        self._levels = [self._level(self._cells_for(triangles)) for _ in range(2)]
-        self._tree = Structure()
-        self._tree.nodes, self._tree.members = self._lists.nodes, self._lists.members
-        self._tree.offsets = wp.zeros(self._nodes_for(triangles), dtype=wp.float64, device=device)
+        self.tree.offsets = self.array(self.nodes_for(scene.bounds.max_triangles), wp.float64)
 
-    @staticmethod
-    def _nodes_for(triangles: int) -> int:
-        """Room for nodes."""
-        return _NODES_PER_TRIANGLE * triangles + _FEWEST
+    def levels_for(self, triangles: int) -> int:
+        """How many levels a tree may have."""
+        return min(LEVELS, int(16.0 + 2.0 * math.log2(triangles)))
 
-    @staticmethod
-    def _cells_for(triangles: int) -> int:
-        """Room for the cells of a level."""
-        return triangles // _TRIANGLES_PER_CELL + _FEWEST
-
-    def _level(self, cells: int) -> Level:
-        device, level = self._scene.device, Level()
-        level.cells = wp.zeros(cells, dtype=Cell, device=device)
-        level.picked = wp.zeros(cells, dtype=wp.int64, device=device)
-        level.sides = wp.zeros((cells, 4), dtype=int, device=device)
+    def level(self, cells: int) -> Level:
+        """The cells of a level."""
+        level = Level()
+        level.cells, level.picked = self.array(cells, Cell), self.array(cells, wp.int64)
+        level.sides = self.array((cells, 4), int)
         return level
 
-    def build(self) -> Structure:
-        """Split the scene, level by level."""
-        scene, device, tree, lists = self._scene, self._scene.device, self._tree, self._lists
-        count, boxes = scene.triangle_count, [self._lowers, self._uppers]
-        tree.vertices, tree.triangles = scene.vertices, scene.triangles
-        for each in self._levels:
-            each.room = self._cells_for(count)
-        inputs = [0, count, scene_box(*scene.box()), scene.vertices, scene.triangles, *boxes]
-        wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
-        lists.begin(self._lowers, count, _REFERENCES_PER_TRIANGLE * count + _FEWEST)
-        inputs = [lists.references, tree, lists.made, self._active, self._levels[0]]
-        wp.launch(splitting.begin, dim=1, inputs=inputs, device=device)
-        levels = min(LEVELS, int(16.0 + 2.0 * math.log2(count)))
-        for level in range(levels):
-            self._split(level, levels, count)
-        lists.finish(levels, self._nodes_for(count))
-        return tree
+    def begin(self, box: SceneBox, root: Level) -> None:
+        """The triangles of the scene, whose planes the tree has."""
+        self.tree.vertices, self.tree.triangles = self._scene.vertices, self._scene.triangles
+        wp.launch(splitting.begin, dim=1, inputs=[self.growth, root], device=self._scene.device)
 
-    def _split(self, level: int, levels: int, count: int) -> None:
-        """Split the cells of a level."""
-        device, lists, tree = self._scene.device, self._lists, self._tree
-        here, there = self._levels[level % 2], self._levels[1 - level % 2]
-        most = min(2**level, here.room)
-        cells = min(int(self._active.numpy()[level]), most) if forms.wide(device) else most
-        threads = lists.threads(level)
-        wp.launch(splitting.begin_level, dim=1, inputs=[level, lists.references, self._active], device=device)
-        wp.launch(splitting.pick, dim=threads, inputs=[level, lists.references, here], device=device)
-        wp.launch(splitting.make_planes, dim=cells, inputs=[level, tree, self._active, here], device=device)
-        inputs = [level, tree, lists.references, here]
-        wp.launch(splitting.count_halves, dim=threads, inputs=inputs, device=device)
-        inputs = [level, levels, self._nodes_for(count), lists.references, tree, lists.made, self._active, here, there]
-        wp.launch(splitting.make_halves, dim=cells, inputs=inputs, device=device)
-        wp.launch(splitting.pass_on, dim=threads, inputs=[level, tree, lists.references, here], device=device)
-
-    def nbytes(self) -> int:
-        """Bytes on the device."""
-        arrays = [self._lowers, self._uppers, self._active, self._tree.offsets]
-        for level in self._levels:
-            arrays += [level.cells, level.picked, level.sides]
-        return sum(int(array.capacity) for array in arrays) + self._lists.nbytes()
+    def split(self, level: int, cells: int, references: int, here: Level, there: Level) -> None:
+        """Where it helps."""
+        device, growth, tree = self._scene.device, self.growth, self.tree
+        wp.launch(splitting.pick, dim=references, inputs=[level, growth, here], device=device)
+        wp.launch(splitting.make_planes, dim=cells, inputs=[level, tree, growth, here], device=device)
+        wp.launch(splitting.count_halves, dim=references, inputs=[level, tree, growth, here], device=device)
+        wp.launch(splitting.split_cells, dim=cells, inputs=[level, tree, growth, here, there], device=device)
+        wp.launch(splitting.pass_on, dim=references, inputs=[level, tree, growth, here], device=device)

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.references import LEAF, References, append, reserve
+from shadow_tracer.gpu.accelerators.references import LEAF, Growth, make_cell, make_children, pass_on_to, place_of
+from shadow_tracer.gpu.accelerators.segment import along
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.determinant import determinant_sign
 
@@ -48,9 +49,9 @@ class Cell:
 
 @wp.struct
 class Level:
-    """The cells of a level, with ``room`` for so many. ``picked``: of each the
-    triangle with the least random number. ``sides``: of either plane, that of the triangle first, how many triangles
-    either half gets; then, of the first two, the places of these (``References.place``)."""
+    """The cells of a level, with ``room`` for so many. ``picked``: of each the triangle with the least random number.
+    ``sides``: of either plane, that of the triangle first, how many triangles either half gets; then, of the first two,
+    the places of these (``Growth.place``)."""
 
     cells: wp.array(dtype=Cell)
     picked: wp.array(dtype=wp.int64)
@@ -72,46 +73,29 @@ def empty_cell(there: Level, place: int, node: int, count: int):
 
 
 @wp.kernel(enable_backward=False)
-def begin(references: References, tree: Structure, made: wp.array(dtype=int), active: wp.array(dtype=int), root: Level):
-    """The root. One thread."""
-    references.reserved[0] = references.used[0]
-    empty_cell(root, 0, 0, references.used[0])
-    tree.nodes[0] = wp.vec2i(0, LEAF)
-    made[0] = 1
-    active[0] = wp.min(references.used[0], 1)  # nothing can be picked of no triangles
+def begin(growth: Growth, root: Level):
+    """The cell of the root. One thread."""
+    empty_cell(root, 0, 0, growth.used[0])
 
 
 @wp.kernel(enable_backward=False)
-def begin_level(level: int, references: References, active: wp.array(dtype=int)):
-    """The next level, before anything is in it. One thread."""
-    references.used[level + 1] = references.used[level]
-    active[level + 1] = 0
-
-
-@wp.kernel(enable_backward=False)
-def pick(level: int, references: References, here: Level):
+def pick(level: int, growth: Growth, here: Level):
     """A triangle of each cell, any one. One thread for each reference."""
     r = wp.tid()
-    if r >= references.used[level] or references.place[r] < 0:
+    place = place_of(growth, level, r)
+    if place < 0:
         return
-    place = references.place[r]
-    triangle = references.triangle[r]
+    triangle = growth.triangle[r]
     number = wp.int64(wp.randi(wp.rand_init(level, triangle), 0, 0x7FFFFFFF))
     wp.atomic_min(here.picked, place, number * wp.int64(0x80000000) + wp.int64(triangle))
 
 
-@wp.func
-def along(v: wp.vec3d, axis: int) -> wp.float64:
-    """A component. Not by an index: on CUDA it would put the vector into local memory."""
-    return wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2]))
-
-
 @wp.kernel(enable_backward=False)
-def make_planes(level: int, tree: Structure, active: wp.array(dtype=int), here: Level):
+def make_planes(level: int, tree: Structure, growth: Growth, here: Level):
     """The two planes of each cell: through the triangle that was picked, and through its first corner across an axis.
     One thread for each cell."""
     place = wp.tid()
-    if place >= wp.min(active[level], here.room):
+    if place >= wp.min(growth.cells[level], here.room):
         return
     cell = here.cells[place]
     cell.triangle = int(here.picked[place] % wp.int64(0x80000000))
@@ -157,14 +141,14 @@ def halves_beside(tree: Structure, triangle: int, a: wp.vec3d, b: wp.vec3d, c: w
 
 
 @wp.kernel(enable_backward=False)
-def count_halves(level: int, tree: Structure, references: References, here: Level):
+def count_halves(level: int, tree: Structure, growth: Growth, here: Level):
     """How many triangles either half of either plane gets. One thread for each reference."""
     r = wp.tid()
-    if r >= references.used[level] or references.place[r] < 0:
+    place = place_of(growth, level, r)
+    if place < 0:
         return
-    place = references.place[r]
     cell = here.cells[place]
-    corners = tree.triangles[references.triangle[r]]
+    corners = tree.triangles[growth.triangle[r]]
     a = tree.vertices[corners[0]]
     b = tree.vertices[corners[1]]
     c = tree.vertices[corners[2]]
@@ -181,34 +165,20 @@ def pairs(low: int, high: int) -> float:
 
 
 @wp.func
-def half(node: int, count: int, next: int, active: wp.array(dtype=int), there: Level) -> int:
-    """Make a cell at level ``next``; returns the place of its triangles. At no level it is a leaf, and so it is where
-    there is no room for a cell more."""
-    if count <= _FEW or next == 0:
-        return -1 - node
-    place = wp.atomic_add(active, next, 1)
-    if place >= there.room:
+def half(growth: Growth, level: int, node: int, count: int, there: Level) -> int:
+    """Make a cell below a level; returns the place of its triangles."""
+    place = make_cell(growth, level, count, _FEW, there.room)
+    if place < 0:
         return -1 - node
     empty_cell(there, place, node, count)
     return place
 
 
 @wp.kernel(enable_backward=False)
-def make_halves(
-    level: int,
-    levels: int,
-    room: int,
-    references: References,
-    tree: Structure,
-    made: wp.array(dtype=int),
-    active: wp.array(dtype=int),
-    here: Level,
-    there: Level,
-):
-    """Split the cells where it helps, where there is room. One thread for each cell. ``levels``, ``room``: how many
-    levels and nodes may be."""
+def split_cells(level: int, tree: Structure, growth: Growth, here: Level, there: Level):
+    """Split the cells where it helps, where there is room. One thread for each cell."""
     place = wp.tid()
-    if place >= wp.min(active[level], here.room):
+    if place >= wp.min(growth.cells[level], here.room):
         return
     cell = here.cells[place]
     low = here.sides[place, 0]
@@ -218,39 +188,35 @@ def make_halves(
         low = here.sides[place, 2]
         high = here.sides[place, 3]
         kind = AXIS
-    next = wp.where(level + 1 < levels, level + 1, 0)
     here.sides[place, 0] = -1 - cell.node
     if not (pairs(low, high) <= _GAIN * pairs(cell.count, 0)):
-        here.sides[place, 0] = half(cell.node, cell.count, next, active, there)  # as it is: another may be picked
+        here.sides[place, 0] = half(growth, level, cell.node, cell.count, there)  # as it is: another may be picked
         return
-    first = wp.atomic_add(made, 0, 2)
-    if first + 2 > room or not reserve(references, low + high - cell.count):
+    first = make_children(growth, 2, low + high - cell.count)
+    if first < 0:
         return
     cell.kind = kind
     here.cells[place] = cell
     tree.nodes[cell.node] = wp.vec2i(wp.where(kind == TRIANGLE, cell.triangle, cell.axis), 4 * first + kind)
     tree.offsets[cell.node] = cell.offset
-    tree.nodes[first] = wp.vec2i(0, LEAF)
-    tree.nodes[first + 1] = wp.vec2i(0, LEAF)
-    here.sides[place, 0] = half(first, low, next, active, there)
-    here.sides[place, 1] = half(first + 1, high, next, active, there)
+    here.sides[place, 0] = half(growth, level, first, low, there)
+    here.sides[place, 1] = half(growth, level, first + 1, high, there)
 
 
 @wp.kernel(enable_backward=False)
-def pass_on(level: int, tree: Structure, references: References, here: Level):
+def pass_on(level: int, tree: Structure, growth: Growth, here: Level):
     """Put triangles into the halves of their cells. One thread for each reference."""
     r = wp.tid()
-    if r >= references.used[level] or references.place[r] < 0:
+    place = place_of(growth, level, r)
+    if place < 0:
         return
-    place = references.place[r]
-    triangle = references.triangle[r]
     cell = here.cells[place]
     low = here.sides[place, 0]
     high = here.sides[place, 1]
-    references.place[r] = low
     if cell.kind == LEAF:
+        growth.place[r] = low
         return
-    corners = tree.triangles[triangle]
+    corners = tree.triangles[growth.triangle[r]]
     a = tree.vertices[corners[0]]
     b = tree.vertices[corners[1]]
     c = tree.vertices[corners[2]]
@@ -259,7 +225,4 @@ def pass_on(level: int, tree: Structure, references: References, here: Level):
         halves = halves_across(cell.axis, cell.offset, a, b, c)
     else:
         halves = halves_beside(tree, cell.triangle, a, b, c)
-    if halves == 2:
-        references.place[r] = high
-    if halves == 3:
-        append(references, level, triangle, high)
+    pass_on_to(growth, level, r, halves & 1 != 0, halves & 2 != 0, low, high)

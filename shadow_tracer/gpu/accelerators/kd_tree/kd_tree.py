@@ -38,107 +38,51 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.kd_tree import splitting
 from shadow_tracer.gpu.accelerators.kd_tree.splitting import LEVELS, MOST_BINS, Cell, Level, Structure
-from shadow_tracer.gpu.accelerators.references import Lists
-from shadow_tracer.gpu.accelerators.segment import scene_box, triangle_boxes
-from shadow_tracer.gpu.accelerators.walker import Build, Walk
-from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.accelerators.references import SplitTree
+from shadow_tracer.gpu.accelerators.segment import SceneBox
+from shadow_tracer.gpu.accelerators.walker import Walk
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
 
-_REFERENCES_PER_TRIANGLE = 8
-_NODES_PER_TRIANGLE = 3
-_TRIANGLES_PER_CELL = 3  # of a level
-_FEWEST = 64  # nodes, cells and references that a small scene may have
 _BINS = 8  # of a cell, where a level has many
 
 
-class KdTree(Build):
+class KdTree(SplitTree):
     """The ``kd_tree`` pipeline."""
 
     walk = Walk("accelerators/kd_tree/planes.h", Structure, queries=(ANY_HIT, CLOSEST))
+    kind = Structure
+    most_levels = LEVELS
+    nodes_per_triangle, triangles_per_cell = 3, 3
 
     def __init__(self, variant: str, scene: SceneBuffers) -> None:
         super().__init__(variant, scene)
-        bounds, device = scene.bounds, scene.device
-        triangles = bounds.max_triangles
-        self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
-        self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
-        self._lists = Lists(triangles, bounds.grid_entries, self._nodes_for(triangles), LEVELS, device)
-        self._active = wp.zeros(LEVELS + 1, dtype=int, device=device)
-        self._bins = wp.empty(6 * _BINS * self._cells_for(triangles), dtype=int, device=device)
-        self._levels = [self._level(self._cells_for(triangles)) for _ in range(2)]
-        self._tree = Structure()
-        self._tree.nodes, self._tree.members = self._lists.nodes, self._lists.members
+        self._ends = self.array(6 * _BINS * self.cells_for(scene.bounds.max_triangles), int)
 
-    @staticmethod
-    def _nodes_for(triangles: int) -> int:
-        """Room for nodes."""
-        return _NODES_PER_TRIANGLE * triangles + _FEWEST
+    def levels_for(self, triangles: int) -> int:
+        """How many levels a tree may have."""
+        return min(LEVELS, int(8.0 + 1.3 * math.log2(triangles)))
 
-    @staticmethod
-    def _cells_for(triangles: int) -> int:
-        """Room for the cells of a level."""
-        return triangles // _TRIANGLES_PER_CELL + _FEWEST
-
-    def _level(self, cells: int) -> Level:
-        device, level = self._scene.device, Level()
-        level.bins, level.cells = self._bins, wp.zeros(cells, dtype=Cell, device=device)
-        level.lowers = wp.empty(cells, dtype=wp.vec3, device=device)
-        level.uppers = wp.empty(cells, dtype=wp.vec3, device=device)
-        level.sides = wp.zeros((cells, 2), dtype=int, device=device)
+    def level(self, cells: int) -> Level:
+        """The cells of a level."""
+        level = Level()
+        level.cells, level.sides = self.array(cells, Cell), self.array((cells, 2), int)
+        level.lowers, level.uppers = self.array(cells, wp.vec3), self.array(cells, wp.vec3)
         return level
 
-    def build(self) -> Structure:
-        """Split the scene, level by level."""
-        scene, device, tree, lists = self._scene, self._scene.device, self._tree, self._lists
-        count, boxes = scene.triangle_count, [self._lowers, self._uppers]
-        tree.box = scene_box(*scene.box())
-        inputs = [0, count, tree.box, scene.vertices, scene.triangles, *boxes]
-        wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
-        lists.begin(self._lowers, count, _REFERENCES_PER_TRIANGLE * count + _FEWEST)
-        self._bins[: 6 * _BINS * self._cells_for(count)].zero_()
-        inputs = [lists.references, tree, lists.made, self._active, self._levels[0]]
-        wp.launch(splitting.begin, dim=1, inputs=inputs, device=device)
-        for each in self._levels:
-            each.room = self._cells_for(count)
-        levels = min(LEVELS, int(8.0 + 1.3 * math.log2(count)))
-        for level in range(levels):
-            self._split(level, levels, count)
-        lists.finish(levels, self._nodes_for(count))
-        return tree
+    def begin(self, box: SceneBox, root: Level) -> None:
+        """The box of the scene."""
+        self.tree.box = box
+        self._ends[: 6 * _BINS * root.room].zero_()
+        wp.launch(splitting.begin, dim=1, inputs=[self.growth, box, root], device=self._scene.device)
 
-    def _split(self, level: int, levels: int, count: int) -> None:
-        """Split the cells of a level."""
-        device, lists, boxes = self._scene.device, self._lists, [self._lowers, self._uppers]
-        here, there = self._levels[level % 2], self._levels[1 - level % 2]
-        room = here.room
-        bins = min(MOST_BINS, _BINS * room // min(2**level, room))
-        cells = min(int(self._active.numpy()[level]), room) if forms.wide(device) else min(2**level, room)
-        threads = lists.threads(level)
-        inputs = [level, bins, *boxes, lists.references, here]
-        wp.launch(splitting.count_bins, dim=threads, inputs=inputs, device=device)
-        inputs = [level, bins, lists.references, self._active, here]
-        wp.launch(splitting.choose_planes, dim=max(cells, 1), inputs=inputs, device=device)
-        inputs = [level, *boxes, lists.references, here]
-        wp.launch(splitting.count_sides, dim=threads, inputs=inputs, device=device)
-        inputs = [
-            level,
-            levels,
-            self._nodes_for(count),
-            lists.references,
-            lists.nodes,
-            lists.made,
-            self._active,
-            here,
-            there,
-        ]
-        wp.launch(splitting.make_children, dim=cells, inputs=inputs, device=device)
-        inputs = [level, *boxes, lists.references, here, there]
-        wp.launch(splitting.pass_on, dim=threads, inputs=inputs, device=device)
-
-    def nbytes(self) -> int:
-        """Bytes on the device."""
-        arrays = [self._lowers, self._uppers, self._active, self._bins]
-        for level in self._levels:
-            arrays += [level.cells, level.lowers, level.uppers, level.sides]
-        return sum(int(array.capacity) for array in arrays) + self._lists.nbytes()
+    def split(self, level: int, cells: int, references: int, here: Level, there: Level) -> None:
+        """Where it makes rays cheaper."""
+        device, growth = self._scene.device, self.growth
+        bins = min(MOST_BINS, _BINS * here.room // min(2**level, here.room))
+        inputs = [level, bins, growth, here, self._ends]
+        wp.launch(splitting.count_bins, dim=references, inputs=inputs, device=device)
+        wp.launch(splitting.choose_planes, dim=cells, inputs=inputs, device=device)
+        wp.launch(splitting.count_sides, dim=references, inputs=[level, growth, here], device=device)
+        wp.launch(splitting.split_cells, dim=cells, inputs=[level, growth, here, there], device=device)
+        wp.launch(splitting.pass_on, dim=references, inputs=[level, growth, here, there], device=device)

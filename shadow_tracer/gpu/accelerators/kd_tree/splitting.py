@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.references import LEAF, References, append, reserve
-from shadow_tracer.gpu.accelerators.segment import SceneBox
+from shadow_tracer.gpu.accelerators.references import Growth, make_cell, make_children, pass_on_to, place_of
+from shadow_tracer.gpu.accelerators.segment import SceneBox, along
 from shadow_tracer.gpu.device import native
 
 LEVELS = 40
@@ -42,11 +42,9 @@ class Cell:
 
 @wp.struct
 class Level:
-    """The cells of a level, and boxes around what their triangles have in them. ``bins``: of each cell, of each axis,
-    how many begin in each bin of that box, and how many end. ``sides``: of each cell, how many triangles either child
-    gets; then the places of these (``References.place``). ``room``: for how many cells."""
+    """The cells of a level, with ``room`` for so many, and boxes around what their triangles have in them. ``sides``:
+    how many triangles either child gets; then the places of these (``Growth.place``)."""
 
-    bins: wp.array(dtype=int)
     cells: wp.array(dtype=Cell)
     lowers: wp.array(dtype=wp.vec3)
     uppers: wp.array(dtype=wp.vec3)
@@ -55,23 +53,17 @@ class Level:
 
 
 @wp.kernel(enable_backward=False)
-def begin(references: References, tree: Structure, made: wp.array(dtype=int), active: wp.array(dtype=int), root: Level):
-    """The root. One thread."""
-    references.reserved[0] = references.used[0]
-    references.used[1] = references.used[0]
+def begin(growth: Growth, box: SceneBox, root: Level):
+    """The cell of the root. One thread."""
     cell = Cell()
-    cell.count = references.used[0]
-    cell.lower = wp.vec3(-float(tree.box.half[0]), -float(tree.box.half[1]), -float(tree.box.half[2]))
+    cell.count = growth.used[0]
+    cell.lower = wp.vec3(-float(box.half[0]), -float(box.half[1]), -float(box.half[2]))
     cell.upper = -cell.lower
     root.cells[0] = cell
     root.sides[0, 0] = 0
     root.sides[0, 1] = 0
     root.lowers[0] = cell.lower
     root.uppers[0] = cell.upper
-    tree.nodes[0] = wp.vec2i(0, LEAF)
-    made[0] = 1
-    active[0] = 1
-    active[1] = 0
 
 
 @wp.func
@@ -80,35 +72,23 @@ def bin_of(x: float, low: float, high: float, bins: int) -> int:
     return int(wp.clamp((x - low) / (high - low) * float(bins), 0.0, float(bins - 1)))
 
 
-@wp.func
-def along(v: wp.vec3, axis: int) -> float:
-    """A component. Not by an index: on CUDA it would put the vector into local memory."""
-    return wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2]))
-
-
 @wp.kernel(enable_backward=False)
-def count_bins(
-    level: int,
-    bins: int,
-    boxes_lower: wp.array(dtype=wp.vec3),
-    boxes_upper: wp.array(dtype=wp.vec3),
-    references: References,
-    here: Level,
-):
-    """Where triangles begin and end in their cells. One thread for each reference."""
+def count_bins(level: int, bins: int, growth: Growth, here: Level, ends: wp.array(dtype=int)):
+    """Where triangles begin and end in their cells. ``ends``: of each cell, of each axis, how many begin in each bin of
+    the box around what its triangles have in it, and how many end. One thread for each reference."""
     r = wp.tid()
-    if r >= references.used[level] or references.place[r] < 0:
+    place = place_of(growth, level, r)
+    if place < 0:
         return
-    place = references.place[r]
     low = here.lowers[place]
     high = here.uppers[place]
-    lower = boxes_lower[references.triangle[r]]
-    upper = boxes_upper[references.triangle[r]]
+    lower = growth.boxes_lower[growth.triangle[r]]
+    upper = growth.boxes_upper[growth.triangle[r]]
     for k in range(3):
         if low[k] < high[k]:
             first = (place * 3 + k) * 2 * bins
-            wp.atomic_add(here.bins, first + bin_of(lower[k], low[k], high[k], bins), 1)
-            wp.atomic_add(here.bins, first + bins + bin_of(upper[k], low[k], high[k], bins), 1)
+            wp.atomic_add(ends, first + bin_of(lower[k], low[k], high[k], bins), 1)
+            wp.atomic_add(ends, first + bins + bin_of(upper[k], low[k], high[k], bins), 1)
 
 
 @wp.func
@@ -118,14 +98,11 @@ def area(size: wp.vec3) -> float:
 
 
 @wp.kernel(enable_backward=False)
-def choose_planes(level: int, bins: int, references: References, active: wp.array(dtype=int), here: Level):
+def choose_planes(level: int, bins: int, growth: Growth, here: Level, ends: wp.array(dtype=int)):
     """The cheapest plane of each cell: where bins begin and end, the outermost ones cut off what is empty. One thread
-    for each cell; the first one also begins the next level."""
+    for each cell."""
     place = wp.tid()
-    if place == 0:
-        references.used[level + 1] = references.used[level]
-        active[level + 1] = 0
-    if place >= wp.min(active[level], here.room):
+    if place >= wp.min(growth.cells[level], here.room):
         return
     cell = here.cells[place]
     size = cell.upper - cell.lower
@@ -157,45 +134,36 @@ def choose_planes(level: int, bins: int, references: References, active: wp.arra
                         axis = k
                         plane = at
                 if j < bins:
-                    below += here.bins[first + j]
-                    above -= here.bins[first + bins + j]
-                    here.bins[first + j] = 0
-                    here.bins[first + bins + j] = 0
+                    below += ends[first + j]
+                    above -= ends[first + bins + j]
+                    ends[first + j] = 0
+                    ends[first + bins + j] = 0
     cell.axis = axis
     cell.plane = plane
     here.cells[place] = cell
 
 
 @wp.kernel(enable_backward=False)
-def count_sides(
-    level: int,
-    boxes_lower: wp.array(dtype=wp.vec3),
-    boxes_upper: wp.array(dtype=wp.vec3),
-    references: References,
-    here: Level,
-):
+def count_sides(level: int, growth: Growth, here: Level):
     """How many triangles either child gets. One thread for each reference."""
     r = wp.tid()
-    if r >= references.used[level] or references.place[r] < 0:
+    place = place_of(growth, level, r)
+    if place < 0:
         return
-    place = references.place[r]
     axis = here.cells[place].axis
     if axis == 3:
         return
-    if along(boxes_lower[references.triangle[r]], axis) < here.cells[place].plane:
+    if along(growth.boxes_lower[growth.triangle[r]], axis) < here.cells[place].plane:
         wp.atomic_add(here.sides, place, 0, 1)
-    if along(boxes_upper[references.triangle[r]], axis) > here.cells[place].plane:
+    if along(growth.boxes_upper[growth.triangle[r]], axis) > here.cells[place].plane:
         wp.atomic_add(here.sides, place, 1, 1)
 
 
 @wp.func
-def child(cell: Cell, side: int, node: int, count: int, next: int, active: wp.array(dtype=int), there: Level) -> int:
-    """Make a child at level ``next``; returns the place of its triangles. At no level it is a leaf, and so it is where
-    there is no room for a cell more."""
-    if count <= _FEW or next == 0:
-        return -1 - node
-    place = wp.atomic_add(active, next, 1)
-    if place >= there.room:
+def child(growth: Growth, level: int, cell: Cell, side: int, node: int, count: int, there: Level) -> int:
+    """Make a child of a cell of a level; returns the place of its triangles."""
+    place = make_cell(growth, level, count, _FEW, there.room)
+    if place < 0:
         return -1 - node
     made = Cell()
     made.node = node
@@ -217,42 +185,25 @@ def child(cell: Cell, side: int, node: int, count: int, next: int, active: wp.ar
 
 
 @wp.kernel(enable_backward=False)
-def make_children(
-    level: int,
-    levels: int,
-    room: int,
-    references: References,
-    nodes: wp.array(dtype=wp.vec2i),
-    made: wp.array(dtype=int),
-    active: wp.array(dtype=int),
-    here: Level,
-    there: Level,
-):
-    """Split the cells that get cheaper, where there is room. One thread for each cell. ``levels``, ``room``: how many
-    levels and nodes may be."""
+def split_cells(level: int, growth: Growth, here: Level, there: Level):
+    """Split the cells that get cheaper, where there is room. One thread for each cell."""
     place = wp.tid()
-    if place >= wp.min(active[level], here.room):
+    if place >= wp.min(growth.cells[level], here.room):
         return
     cell = here.cells[place]
     low = here.sides[place, 0]
     high = here.sides[place, 1]
-    here.sides[place, 0] = -1 - cell.node
-    here.sides[place, 1] = -1 - cell.node
-    if cell.axis == 3 or (low == cell.count and high == cell.count):
+    first = int(-1)
+    if cell.axis != 3 and (low < cell.count or high < cell.count):
+        first = make_children(growth, 2, low + high - cell.count)
+    if first < 0:
+        here.sides[place, 0] = -1 - cell.node
         cell.axis = 3
         here.cells[place] = cell
         return
-    first = wp.atomic_add(made, 0, 2)
-    if first + 2 > room or not reserve(references, low + high - cell.count):
-        cell.axis = 3
-        here.cells[place] = cell
-        return
-    nodes[cell.node] = wp.vec2i(wp.cast(cell.plane, int), 4 * first + cell.axis)
-    nodes[first] = wp.vec2i(0, LEAF)
-    nodes[first + 1] = wp.vec2i(0, LEAF)
-    next = wp.where(level + 1 < levels, level + 1, 0)
-    here.sides[place, 0] = child(cell, 0, first, low, next, active, there)
-    here.sides[place, 1] = child(cell, 1, first + 1, high, next, active, there)
+    growth.nodes[cell.node] = wp.vec2i(wp.cast(cell.plane, int), 4 * first + cell.axis)
+    here.sides[place, 0] = child(growth, level, cell, 0, first, low, there)
+    here.sides[place, 1] = child(growth, level, cell, 1, first + 1, high, there)
 
 
 @wp.func
@@ -265,36 +216,25 @@ def grow(there: Level, place: int, lower: wp.vec3, upper: wp.vec3):
 
 
 @wp.kernel(enable_backward=False)
-def pass_on(
-    level: int,
-    boxes_lower: wp.array(dtype=wp.vec3),
-    boxes_upper: wp.array(dtype=wp.vec3),
-    references: References,
-    here: Level,
-    there: Level,
-):
+def pass_on(level: int, growth: Growth, here: Level, there: Level):
     """Put triangles into the children of their cells. One thread for each reference."""
     r = wp.tid()
-    if r >= references.used[level] or references.place[r] < 0:
+    place = place_of(growth, level, r)
+    if place < 0:
         return
-    place = references.place[r]
-    triangle = references.triangle[r]
     axis = here.cells[place].axis
     plane = here.cells[place].plane
     low = here.sides[place, 0]
     high = here.sides[place, 1]
-    lower = boxes_lower[triangle]
-    upper = boxes_upper[triangle]
     if axis == 3:
-        references.place[r] = low
+        growth.place[r] = low
         return
+    lower = growth.boxes_lower[growth.triangle[r]]
+    upper = growth.boxes_upper[growth.triangle[r]]
     is_low = along(lower, axis) < plane
+    is_high = along(upper, axis) > plane
     if is_low:
-        references.place[r] = low
         grow(there, low, lower, upper)
-    if along(upper, axis) > plane:
+    if is_high:
         grow(there, high, lower, upper)
-        if is_low:
-            append(references, level, triangle, high)
-        else:
-            references.place[r] = high
+    pass_on_to(growth, level, r, is_low, is_high, low, high)

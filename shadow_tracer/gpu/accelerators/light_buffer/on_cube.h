@@ -33,18 +33,21 @@ struct LightCells {
         }
         inline int cells() const { return (last_column - first_column + 1) * (last_row - first_row + 1); }
     };
-    static inline bool silent(const Occluders& occluders, int triangle) {
-        const float* own = (const float*)occluders.records.data + 16 * (size_t)triangle + 12;
-        return own[0] == 0.0f && own[1] == 0.0f && own[2] == 0.0f;
+    // The corners of a triangle, and the faces that it touches: none if it casts nothing.
+    static inline void look(const Occluders& occluders, const LightSpace& space, int triangle, Corners1& corners,
+                            Corners1::Faces& touched) {
+        Planes1 planes;
+        planes.take((const float*)occluders.records.data + 16 * (size_t)triangle, 1, space);
+        corners.gather(occluders.corners.data, occluders.triangles.data[triangle]);
+        corners.touched(touched);
+        for (int face = 0; face < FACES; ++face)
+            touched[face] = planes.silent ? 0 : touched[face];
     }
     // In how many lists a triangle is.
     static inline wp::int64 count(const Occluders& occluders, const LightSpace& space, int triangle, int columns) {
-        if (silent(occluders, triangle))
-            return 0;
         Corners1 corners;
         Corners1::Faces touched;
-        corners.gather(occluders.corners.data, occluders.triangles.data[triangle]);
-        corners.touched(touched);
+        look(occluders, space, triangle, corners, touched);
         wp::int64 found = 0;
         for (int face = 0; face < FACES; ++face) {
             if (!touched[face])
@@ -66,12 +69,9 @@ struct LightCells {
     static inline void enter(const Occluders& occluders, const LightSpace& space, int triangle, int columns,
                              const wp::array_t<int>& begins, const wp::array_t<int>& members,
                              const wp::array_t<float>& depths) {
-        if (silent(occluders, triangle))
-            return;
         Corners1 corners;
         Corners1::Faces touched;
-        corners.gather(occluders.corners.data, occluders.triangles.data[triangle]);
-        corners.touched(touched);
+        look(occluders, space, triangle, corners, touched);
         for (int face = 0; face < FACES; ++face) {
             if (!touched[face])
                 continue;

@@ -35,86 +35,35 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.octree import splitting
 from shadow_tracer.gpu.accelerators.octree.splitting import LEVELS, Cell, Level, Structure
-from shadow_tracer.gpu.accelerators.references import Lists
-from shadow_tracer.gpu.accelerators.segment import scene_box, triangle_boxes
-from shadow_tracer.gpu.accelerators.walker import Build, Walk
-from shadow_tracer.gpu.device import forms
-from shadow_tracer.gpu.occluders.world import SceneBuffers
+from shadow_tracer.gpu.accelerators.references import SplitTree
+from shadow_tracer.gpu.accelerators.segment import SceneBox
+from shadow_tracer.gpu.accelerators.walker import Walk
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
 
-_REFERENCES_PER_TRIANGLE = 8
-_NODES_PER_TRIANGLE = 4
-_TRIANGLES_PER_CELL = 4  # of a level
-_FEWEST = 64  # nodes, cells and references that a small scene may have
 
-
-class Octree(Build):
+class Octree(SplitTree):
     """The ``octree`` pipeline."""
 
     walk = Walk("accelerators/octree/octants.h", Structure, queries=(ANY_HIT, CLOSEST))
+    kind = Structure
+    most_levels = LEVELS
+    children = 8
+    nodes_per_triangle, triangles_per_cell = 4, 4
 
-    def __init__(self, variant: str, scene: SceneBuffers) -> None:
-        super().__init__(variant, scene)
-        bounds, device = scene.bounds, scene.device
-        triangles = bounds.max_triangles
-        self._lowers = wp.empty(triangles, dtype=wp.vec3, device=device)
-        self._uppers = wp.empty(triangles, dtype=wp.vec3, device=device)
-        self._lists = Lists(triangles, bounds.grid_entries, self._nodes_for(triangles), LEVELS, device)
-        self._active = wp.zeros(LEVELS + 1, dtype=int, device=device)
-        self._levels = [self._level(self._cells_for(triangles)) for _ in range(2)]
-        self._tree = Structure()
-        self._tree.nodes, self._tree.members = self._lists.nodes, self._lists.members
-
-    @staticmethod
-    def _nodes_for(triangles: int) -> int:
-        """Room for nodes."""
-        return _NODES_PER_TRIANGLE * triangles + _FEWEST
-
-    @staticmethod
-    def _cells_for(triangles: int) -> int:
-        """Room for the cells of a level."""
-        return triangles // _TRIANGLES_PER_CELL + _FEWEST
-
-    def _level(self, cells: int) -> Level:
-        device, level = self._scene.device, Level()
-        level.cells = wp.zeros(cells, dtype=Cell, device=device)
-        level.octants = wp.zeros((cells, 8), dtype=int, device=device)
+    def level(self, cells: int) -> Level:
+        """The cells of a level."""
+        level = Level()
+        level.cells, level.octants = self.array(cells, Cell), self.array((cells, 8), int)
         return level
 
-    def build(self) -> Structure:
-        """Split the scene, level by level."""
-        scene, device, tree, lists = self._scene, self._scene.device, self._tree, self._lists
-        count, boxes = scene.triangle_count, [self._lowers, self._uppers]
-        tree.box = scene_box(*scene.box())
-        for each in self._levels:
-            each.room = self._cells_for(count)
-        inputs = [0, count, tree.box, scene.vertices, scene.triangles, *boxes]
-        wp.launch(triangle_boxes, dim=count, inputs=inputs, device=device)
-        lists.begin(self._lowers, count, _REFERENCES_PER_TRIANGLE * count + _FEWEST)
-        inputs = [lists.references, tree, lists.made, self._active, self._levels[0]]
-        wp.launch(splitting.begin, dim=1, inputs=inputs, device=device)
-        for level in range(LEVELS):
-            self._split(level, count)
-        lists.finish(LEVELS, self._nodes_for(count))
-        return tree
+    def begin(self, box: SceneBox, root: Level) -> None:
+        """The box of the scene; the root is a cube around it."""
+        self.tree.box = box
+        wp.launch(splitting.begin, dim=1, inputs=[self.growth, root], device=self._scene.device)
 
-    def _split(self, level: int, count: int) -> None:
-        """Split the cells of a level."""
-        device, lists, boxes = self._scene.device, self._lists, [self._lowers, self._uppers]
-        here, there = self._levels[level % 2], self._levels[1 - level % 2]
-        most = min(8**level, here.room)
-        cells = min(int(self._active.numpy()[level]), most) if forms.wide(device) else most
-        threads = lists.threads(level)
-        inputs = [level, *boxes, lists.references, here]
-        wp.launch(splitting.begin_level, dim=1, inputs=[level, lists.references, self._active], device=device)
-        wp.launch(splitting.count_octants, dim=threads, inputs=inputs, device=device)
-        inputs = [level, self._nodes_for(count), lists.references, lists.nodes, lists.made, self._active, here, there]
-        wp.launch(splitting.make_children, dim=cells, inputs=inputs, device=device)
-        wp.launch(splitting.pass_on, dim=threads, inputs=[level, *boxes, lists.references, here], device=device)
-
-    def nbytes(self) -> int:
-        """Bytes on the device."""
-        arrays = [self._lowers, self._uppers, self._active]
-        for level in self._levels:
-            arrays += [level.cells, level.octants]
-        return sum(int(array.capacity) for array in arrays) + self._lists.nbytes()
+    def split(self, level: int, cells: int, references: int, here: Level, there: Level) -> None:
+        """Where a child has fewer triangles."""
+        device, growth = self._scene.device, self.growth
+        wp.launch(splitting.count_octants, dim=references, inputs=[level, growth, here], device=device)
+        wp.launch(splitting.split_cells, dim=cells, inputs=[level, growth, here, there], device=device)
+        wp.launch(splitting.pass_on, dim=references, inputs=[level, growth, here], device=device)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.references import LEAF, References, append, reserve
+from shadow_tracer.gpu.accelerators.references import Growth, append, make_cell, make_children, place_of
 from shadow_tracer.gpu.accelerators.segment import SceneBox
 from shadow_tracer.gpu.device import native
 
@@ -40,7 +40,7 @@ class Cell:
 @wp.struct
 class Level:
     """The cells of a level, with ``room`` for so many. ``octants``: how many triangles each child gets; then the places
-    of these (``References.place``)."""
+    of these (``Growth.place``)."""
 
     cells: wp.array(dtype=Cell)
     octants: wp.array2d(dtype=int)
@@ -48,19 +48,13 @@ class Level:
 
 
 @wp.kernel(enable_backward=False)
-def begin(references: References, tree: Structure, made: wp.array(dtype=int), active: wp.array(dtype=int), root: Level):
-    """The root. One thread."""
-    references.reserved[0] = references.used[0]
-    references.used[1] = references.used[0]
+def begin(growth: Growth, root: Level):
+    """The cell of the root. One thread."""
     cell = Cell()
-    cell.count = references.used[0]
+    cell.count = growth.used[0]
     root.cells[0] = cell
     for k in range(8):
         root.octants[0, k] = 0
-    tree.nodes[0] = wp.vec2i(0, LEAF)
-    made[0] = 1
-    active[0] = 1
-    active[1] = 0
 
 
 @wp.func
@@ -83,51 +77,32 @@ def reached(middle: wp.vec3, lower: wp.vec3, upper: wp.vec3) -> int:
 
 
 @wp.kernel(enable_backward=False)
-def count_octants(
-    level: int,
-    boxes_lower: wp.array(dtype=wp.vec3),
-    boxes_upper: wp.array(dtype=wp.vec3),
-    references: References,
-    here: Level,
-):
+def count_octants(level: int, growth: Growth, here: Level):
     """How many triangles each child gets. One thread for each reference."""
     r = wp.tid()
-    if r >= references.used[level] or references.place[r] < 0:
+    place = place_of(growth, level, r)
+    if place < 0:
         return
-    place = references.place[r]
-    triangle = references.triangle[r]
-    found = reached(here.cells[place].middle, boxes_lower[triangle], boxes_upper[triangle])
+    triangle = growth.triangle[r]
+    found = reached(here.cells[place].middle, growth.boxes_lower[triangle], growth.boxes_upper[triangle])
     for k in range(8):
         if (found >> k) & 1 != 0:
             wp.atomic_add(here.octants, place, k, 1)
 
 
 @wp.func
-def child(
-    place: int,
-    octant: int,
-    half: float,
-    node: int,
-    next: int,
-    active: wp.array(dtype=int),
-    here: Level,
-    there: Level,
-):
-    """Make a child of the cell at ``place`` at level ``next``, and say in ``here`` where its triangles go. At no level
-    it is a leaf, and so it is where there is no room for a cell more."""
-    cell = here.cells[place]
+def child(growth: Growth, level: int, place: int, octant: int, half: float, node: int, here: Level, there: Level):
+    """Make a child of the cell at ``place``, and say in ``here`` where its triangles go."""
     count = here.octants[place, octant]
     here.octants[place, octant] = -1 - node
-    if count <= _FEW or next == 0:
-        return
-    number = wp.atomic_add(active, next, 1)
-    if number >= there.room:
+    number = make_cell(growth, level, count, _FEW, there.room)
+    if number < 0:
         return
     made = Cell()
     made.node = node
     made.count = count
     for k in range(3):
-        made.middle[k] = cell.middle[k] + wp.where((octant >> k) & 1 != 0, half, -half)
+        made.middle[k] = here.cells[place].middle[k] + wp.where((octant >> k) & 1 != 0, half, -half)
     there.cells[number] = made
     for k in range(8):
         there.octants[number, k] = 0
@@ -135,19 +110,10 @@ def child(
 
 
 @wp.kernel(enable_backward=False)
-def make_children(
-    level: int,
-    room: int,
-    references: References,
-    nodes: wp.array(dtype=wp.vec2i),
-    made: wp.array(dtype=int),
-    active: wp.array(dtype=int),
-    here: Level,
-    there: Level,
-):
-    """Split cells where there is room. One thread for each cell. ``room``: how many nodes may be."""
+def split_cells(level: int, growth: Growth, here: Level, there: Level):
+    """Split cells where there is room. One thread for each cell."""
     place = wp.tid()
-    if place >= wp.min(active[level], here.room):
+    if place >= wp.min(growth.cells[level], here.room):
         return
     cell = here.cells[place]
     more = -cell.count
@@ -155,54 +121,37 @@ def make_children(
     for k in range(8):
         more += here.octants[place, k]
         fewest = wp.min(fewest, here.octants[place, k])
-    leaf = fewest == cell.count  # of no use, each child has them all
-    first = int(0)
-    if not leaf:
-        first = wp.atomic_add(made, 0, 8)
-        leaf = first + 8 > room or not reserve(references, more)
-    if leaf:
+    first = int(-1)
+    if fewest < cell.count:  # or it is of no use, as each child has them all
+        first = make_children(growth, 8, more)
+    if first < 0:
         here.octants[place, 0] = -1 - cell.node
         cell.node = -1
         here.cells[place] = cell
         return
-    nodes[cell.node] = wp.vec2i(0, 4 * first)
+    growth.nodes[cell.node] = wp.vec2i(0, 4 * first)
     half = _HALF / float(2 << level)
-    next = wp.where(level + 1 < LEVELS, level + 1, 0)
     for k in range(8):
-        nodes[first + k] = wp.vec2i(0, LEAF)
-        child(place, k, half, first + k, next, active, here, there)
+        child(growth, level, place, k, half, first + k, here, there)
 
 
 @wp.kernel(enable_backward=False)
-def begin_level(level: int, references: References, active: wp.array(dtype=int)):
-    """The next level, before anything is in it. One thread."""
-    references.used[level + 1] = references.used[level]
-    active[level + 1] = 0
-
-
-@wp.kernel(enable_backward=False)
-def pass_on(
-    level: int,
-    boxes_lower: wp.array(dtype=wp.vec3),
-    boxes_upper: wp.array(dtype=wp.vec3),
-    references: References,
-    here: Level,
-):
+def pass_on(level: int, growth: Growth, here: Level):
     """Put triangles into the children of their cells. One thread for each reference."""
     r = wp.tid()
-    if r >= references.used[level] or references.place[r] < 0:
+    place = place_of(growth, level, r)
+    if place < 0:
         return
-    place = references.place[r]
-    triangle = references.triangle[r]
+    triangle = growth.triangle[r]
     if here.cells[place].node < 0:
-        references.place[r] = here.octants[place, 0]
+        growth.place[r] = here.octants[place, 0]
         return
-    found = reached(here.cells[place].middle, boxes_lower[triangle], boxes_upper[triangle])
+    found = reached(here.cells[place].middle, growth.boxes_lower[triangle], growth.boxes_upper[triangle])
     first = bool(True)
     for k in range(8):
         if (found >> k) & 1 != 0:
             if first:
-                references.place[r] = here.octants[place, k]
+                growth.place[r] = here.octants[place, k]
                 first = False
             else:
-                append(references, level, triangle, here.octants[place, k])
+                append(growth, level, triangle, here.octants[place, k])

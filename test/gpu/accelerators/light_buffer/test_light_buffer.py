@@ -10,7 +10,7 @@ import geometry
 import numpy as np
 import probe
 import pytest
-from trees import clusters, hidden, mesh_of, tracer_of
+from trees import clusters, equal, hidden, mesh_of, tracer_of, unlike_scenes
 
 from shadow_tracer import DirectionalLight, PointLight, ShadowTracer
 
@@ -29,14 +29,6 @@ def _buffer(device: str, **more: int) -> ShadowTracer:
     return tracer_of(device, "light_buffer", **more)
 
 
-def _equal(tracer: ShadowTracer, mesh: geometry.Geometry, points: np.ndarray, light: Any) -> np.ndarray:
-    """What both it and every triangle hide."""
-    expected = hidden(tracer_of(tracer.device, "brute_force"), mesh, points, light)
-    found = hidden(tracer, mesh, points, light)
-    assert np.array_equal(found, expected), (found != expected).sum()
-    return expected
-
-
 def _lists(tracer: ShadowTracer) -> tuple[int, list[np.ndarray], list[np.ndarray]]:
     """Columns of a face; members and depths of each list."""
     made = probe.structure(tracer)
@@ -51,7 +43,7 @@ def test_lists_go_from_the_light_outwards(any_device: str, name: str) -> None:
     tracer, rng = _buffer(any_device), np.random.default_rng(1)
     mesh = geometry.join([mesh_of(clusters(rng, 1500)), geometry.square(2, -1.0, 4.0)])
     light, points = _LIGHTS[name], rng.uniform(-2, 2, (1500, 3))
-    assert 300 < _equal(tracer, mesh, points, light).sum() < 1200
+    assert 300 < equal(tracer, mesh, points, light).sum() < 1200
     columns, members, depths = _lists(tracer)
     assert 30 <= columns <= 60 and max(map(len, members[:-6])) > 3
     held = np.concatenate(members)
@@ -67,7 +59,7 @@ def test_short_lists_make_larger_cells(any_device: str, room: int) -> None:
     tracer, rng = _buffer(any_device, grid_entries=room), np.random.default_rng(2)
     mesh, found = geometry.soup(rng, 600, 0.2, 2.0), []
     for name in ("above", "among", "sun", "above"):
-        assert _equal(tracer, mesh, rng.uniform(-2, 2, (800, 3)), _LIGHTS[name]).any()
+        assert equal(tracer, mesh, rng.uniform(-2, 2, (800, 3)), _LIGHTS[name]).any()
         columns = int(probe.structure(tracer).columns.numpy()[0])
         found.append(columns)
         if columns:
@@ -122,7 +114,7 @@ def test_tiny_triangles_on_the_borders_of_cells(any_device: str, name: str, spre
         mesh, points = mesh_of(tiny), tiny.mean(axis=1) + away * rng.uniform(0.05, 0.3, (number, 1))
         points = np.concatenate([points, around])
     before = probe.light_frame(tracer, light)
-    assert _equal(tracer, mesh, points, light).mean() > 0.5
+    assert equal(tracer, mesh, points, light).mean() > 0.5
     after = probe.light_frame(tracer, light)
     assert tuple(before.center) == tuple(after.center) and before.inverse_scale == after.inverse_scale, "other cells"
 
@@ -133,7 +125,7 @@ def test_triangles_behind_the_sample_are_not_tested(any_device: str) -> None:
     tracer, points = _buffer(any_device), np.column_stack([rng.uniform(-0.2, 0.2, (300, 2)), np.full(300, 2.0)])
     sheets = geometry.join([geometry.square(2, z, 1.0) for z in np.linspace(-1.0, 1.9, 1000)])
     for light in (_LAMP, DirectionalLight("sun", (0.0, 0.1, -1.0))):
-        assert not _equal(tracer, sheets, points, light).any()
+        assert not equal(tracer, sheets, points, light).any()
         counters = probe.trace_points(tracer, points, [light]).counters
         assert counters["leaf_tests"] <= 20 * 300
 
@@ -143,7 +135,7 @@ def test_the_last_occluder_comes_first(any_device: str) -> None:
     rng = np.random.default_rng(7)
     tracer, points = _buffer(any_device), rng.uniform(-1, 1, (3000, 3)) * (1, 1, 0.1) - (0, 0, 1.5)
     mesh = geometry.soup(rng, 2000, 0.15, 1.0)
-    expected = _equal(tracer, mesh, points, _LAMP)
+    expected = equal(tracer, mesh, points, _LAMP)
     last = probe.structure(tracer).last
     last.fill_(-1)
     tests = [probe.trace_points(tracer, points, [_LAMP]).counters["leaf_tests"] for _ in range(2)]
@@ -157,7 +149,7 @@ def test_the_order_of_rays_changes_no_answer(any_device: str) -> None:
     rng = np.random.default_rng(8)
     tracer, points = _buffer(any_device), rng.uniform(-1.5, 1.5, (2000, 3))
     mesh = geometry.join([geometry.soup(rng, 1500, 0.15, 2.0), geometry.icosphere(3, 0.4)])
-    expected = _equal(tracer, mesh, points, _LAMP)
+    expected = equal(tracer, mesh, points, _LAMP)
     for _ in range(4):
         order = rng.permutation(len(points))
         assert np.array_equal(tracer.occluded(points[order], _LAMP), expected[order])
@@ -172,23 +164,15 @@ def test_wild_rays_are_shown_every_triangle(any_device: str) -> None:
     cage = mesh_of(lamp.position + 0.3 * ways[:, None] + 0.2 * rng.uniform(-1, 1, (200, 3, 3)))
     near = mesh_of((lamp.position + 5e-9 * ways)[:, None] + 2e-8 * rng.uniform(-1, 1, (200, 3, 3)))
     tracer = _buffer(any_device)
-    assert _equal(tracer, geometry.join([cage, near]), points, lamp).any()
+    assert equal(tracer, geometry.join([cage, near]), points, lamp).any()
 
 
 def test_unlike_frames(any_device: str) -> None:
     """Scenes, lights and samples in turn on one tracer: nothing of a frame before is read."""
     rng = np.random.default_rng(10)
     tracer, oracle = _buffer(any_device), tracer_of(any_device, "brute_force")
-    ball, soup = geometry.icosphere(3, 0.3, (0.2, 0.1, 0.0)), geometry.soup(rng, 300, 0.3, 2.0)
-    made = {"clusters": mesh_of(clusters(rng, 2500)), "ball": ball, "soup": soup, "dot": (ball[0] * 1e-3, ball[1])}
-    frames = ["clusters ball", "ball", "", "soup", "soup clusters ball", "clusters ball", "soup ball", "soup", "dot"]
-    for number, names in enumerate([*frames, "soup clusters", "soup clusters", "clusters"]):
+    for number, _ in unlike_scenes(rng, (tracer, oracle)):
         for each in (tracer, oracle):
-            for name, mesh in made.items():
-                if name in names.split():
-                    each.scene.put(name, *mesh)
-                elif name in each.scene:
-                    each.scene.remove(name)
             each.front_face_culling = number % 3 == 2
         points = rng.uniform(-1.2, 1.2, (500, 3)) * (10.0 if number % 4 == 3 else 1.0)
         pair = [_LIGHTS["above"], _LIGHTS["sun"]][:: 1 - 2 * (number % 2)]

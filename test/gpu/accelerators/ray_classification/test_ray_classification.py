@@ -4,13 +4,11 @@ memory."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import geometry
 import numpy as np
 import probe
 import pytest
-from trees import clusters, hidden, mesh_of, tracer_of
+from trees import clusters, equal, mesh_of, tracer_of, unlike_scenes
 
 from shadow_tracer import DirectionalLight, PointLight, ShadowTracer
 from shadow_tracer.gpu.accelerators.ray_classification import ray_classification
@@ -25,14 +23,6 @@ def _tracer(device: str, **more: int) -> ShadowTracer:
     return tracer_of(device, "ray_classification", **more)
 
 
-def _equal(tracer: ShadowTracer, mesh: geometry.Geometry, points: np.ndarray, light: Any) -> np.ndarray:
-    """What both it and every triangle hide."""
-    expected = hidden(tracer_of(tracer.device, "brute_force"), mesh, points, light)
-    found = hidden(tracer, mesh, points, light)
-    assert np.array_equal(found, expected), (found != expected).sum()
-    return expected
-
-
 def _made(tracer: ShadowTracer) -> int:
     """Cells that have lists, the six of all origins among them."""
     return int(probe.structure(tracer).made.numpy()[1])
@@ -42,7 +32,7 @@ def test_lists_are_made_when_they_are_asked_for(any_device: str) -> None:
     rng = np.random.default_rng(1)
     tracer, mesh = _tracer(any_device), mesh_of(clusters(rng, 1500))
     points = np.array([[0.9, 0.9, -0.9], [0.9001, 0.9, -0.9]])
-    _equal(tracer, mesh, points[:1], _LAMP)
+    equal(tracer, mesh, points[:1], _LAMP)
     assert 6 < _made(tracer) <= 6 + 6, "one for each level"
     first = _made(tracer)
     tracer.occluded(points, _LAMP)
@@ -63,7 +53,7 @@ def test_a_ray_tests_few_triangles(any_device: str) -> None:
     rng = np.random.default_rng(2)
     tracer, points = _tracer(any_device), rng.uniform(-1, 1, (1000, 3))
     for mesh in (mesh_of(clusters(rng, 4000)), geometry.icosphere(3, 0.7)):
-        assert _equal(tracer, mesh, points, _LAMP).any()
+        assert equal(tracer, mesh, points, _LAMP).any()
         counters = probe.trace_points(tracer, points, [_LAMP]).counters
         assert 0 < counters["leaf_tests"] < 0.02 * 1000 * len(mesh[1])
         assert counters["nodes_visited"] <= 7 * 1000
@@ -72,7 +62,7 @@ def test_a_ray_tests_few_triangles(any_device: str) -> None:
 def test_lists_hold_what_smaller_ones_hold(any_device: str) -> None:
     rng = np.random.default_rng(3)
     tracer = _tracer(any_device)
-    _equal(tracer, mesh_of(clusters(rng, 1500)), rng.uniform(-1, 1, (600, 3)), _SUN)
+    equal(tracer, mesh_of(clusters(rng, 1500)), rng.uniform(-1, 1, (600, 3)), _SUN)
     made = probe.structure(tracer)
     first, count, level, asked, members = (
         getattr(made, name).numpy() for name in ("first", "count", "level", "asked", "members")
@@ -107,7 +97,7 @@ def test_rays_on_the_borders_of_cells(any_device: str, axis: int, spread: float)
         # Aimed exactly along the way at the triangles' middles.
         points = tiny[some].mean(axis=1) - far[some] * way
         assert some.sum() > 30
-        assert _equal(_tracer(any_device), mesh, points, light).mean() > 0.9
+        assert equal(_tracer(any_device), mesh, points, light).mean() > 0.9
 
 
 @pytest.mark.parametrize("nodes", [6, 7, 60])
@@ -118,7 +108,7 @@ def test_little_memory(any_device: str, monkeypatch: pytest.MonkeyPatch, nodes: 
     rng = np.random.default_rng(5)
     mesh, tracer = geometry.soup(rng, 700, 0.2, 2.0), _tracer(any_device, max_triangles=700, grid_entries=room)
     for light in (_LAMP, _SUN, _LAMP, PointLight("inside", (0.1, 0.2, 0.3)), _SUN):
-        assert _equal(tracer, mesh, rng.uniform(-2, 2, (300, 3)), light).any()
+        assert equal(tracer, mesh, rng.uniform(-2, 2, (300, 3)), light).any()
         structure = probe.structure(tracer)
         assert _made(tracer) <= nodes and structure.used.numpy()[0] <= max(room, 700)
 
@@ -147,23 +137,14 @@ def test_samples_far_away_and_beside_the_box(any_device: str) -> None:
     points = np.concatenate([ways * far for far in (1.0, 1.5, 1e3, 6.7e7, 6.8e7, 1e15)])
     tracer = _tracer(any_device)
     for light in (PointLight("inside", (0.1, 0.0, 0.2)), PointLight("outside", (3.0, 1.0, 0.5))):
-        assert _equal(tracer, mesh, points, light).any()
+        assert equal(tracer, mesh, points, light).any()
 
 
 def test_unlike_frames(any_device: str) -> None:
     """Scenes, lights and samples in turn on one tracer: nothing of a frame before is read."""
     rng = np.random.default_rng(10)
     tracer, oracle = _tracer(any_device), tracer_of(any_device, "brute_force")
-    ball, soup = geometry.icosphere(3, 0.3, (0.2, 0.1, 0.0)), geometry.soup(rng, 300, 0.3, 2.0)
-    made = {"clusters": mesh_of(clusters(rng, 1500)), "ball": ball, "soup": soup, "dot": (ball[0] * 1e-3, ball[1])}
-    frames = ["clusters ball", "ball", "", "soup", "soup clusters ball", "clusters ball", "soup ball", "soup", "dot"]
-    for number, names in enumerate([*frames, "soup clusters", "soup clusters", "clusters"]):
-        for each in (tracer, oracle):
-            for name, mesh in made.items():
-                if name in names.split():
-                    each.scene.put(name, *mesh)
-                elif name in each.scene:
-                    each.scene.remove(name)
+    for number, _ in unlike_scenes(rng, (tracer, oracle), 1500):
         points = rng.uniform(-1.2, 1.2, (300, 3)) * (10.0 if number % 4 == 3 else 1.0)
         pair = [_LAMP, _SUN][:: 1 - 2 * (number % 2)]
         assert np.array_equal(tracer.states_at(points, pair), oracle.states_at(points, pair))
