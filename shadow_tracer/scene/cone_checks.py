@@ -162,7 +162,7 @@ def check_budget(budget: Any) -> int | None:
     return int(budget)
 
 
-def check_after(after: Any, shape: tuple[int, ...]) -> tuple[FloatArray, npt.NDArray[np.int64]] | None:
+def check_after(after: Any, shape: tuple[int, ...]) -> tuple[FloatArray, npt.NDArray[np.int32]] | None:
     """Distance and number of the last triangle that is not asked for, of each cone.
 
     Raises:
@@ -180,4 +180,5 @@ def check_after(after: Any, shape: tuple[int, ...]) -> tuple[FloatArray, npt.NDA
         pair = np.broadcast_to(distances, shape), np.broadcast_to(numbers, shape)
     except ValueError as error:
         raise ValueError(f"after: expected shape {shape}, got {distances.shape} and {numbers.shape}") from error
-    return pair[0].reshape(-1), pair[1].reshape(-1).astype(np.int64)
+    # All that counts is which triangles, whose numbers are int32, have greater ones.
+    return pair[0].reshape(-1), np.clip(pair[1].reshape(-1).astype(float), -1, 2**31 - 1).astype(np.int32)
