@@ -81,10 +81,10 @@ EXCEPTIONS = {
     "accelerators.brute_force.brute_force.closest/walk_every_triangle_closest_1": Budget(104, 896, reason=_CLOSEST),
     "accelerators.bvh.mesh_bvh.any_hit/walk_binary_tree_any_hit_1": Budget(66, 288, reason="a stack of 64 nodes"),
     "accelerators.uniform_grid.uniform_grid.any_hit/walk_cells_any_hit_1": Budget(
-        66, 240, reason="sixteen mailboxes, and a step along any axis; what bundles need of a segment"
+        66, 208, reason="sixteen mailboxes, and a step along any axis"
     ),
     "accelerators.hierarchical_grid.nesting.any_hit/walk_nested_cells_any_hit_1": Budget(
-        64, 304, reason="sixteen mailboxes, a place in each of three grids; what bundles need of a segment"
+        64, 288, reason="sixteen mailboxes, and a place in each of three grids"
     ),
     "accelerators.height_field.charts.in_place/walk_down_in_place_1": Budget(
         144, 1256, reason="float64: a ray in a chart, its way over a terrain, and " + _EXACT

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.cone_checks import check_after, check_axes, check_budget, check_cones, check_count
+from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.mesh import Scene
 
 if TYPE_CHECKING:
@@ -34,9 +35,10 @@ class ConeAnswers:
     """The part of :class:`ShadowTracer` that is asked about cones.
 
     A cone has an apex and an axis; one with an end is cut off across the axis there. All triangles of the scene count,
-    from both sides: neither ``front_face_culling`` nor what lights ignore plays a part. Those without area, or with a
-    corner that is not finite, do not. Answers come from the tree of pipeline ``bvh/sah``, whatever pipeline traces;
-    it and the buffers are made when a cone is first asked about, and count in ``device_bytes``.
+    from both sides, whatever ``front_face_culling`` is, but for those of meshes that the light ignores of cones to one.
+    Those without area, or with a corner that is not finite, do not. Answers come from the tree of pipeline ``bvh/sah``,
+    whatever pipeline traces; it and the buffers are made when a cone is first asked about, and count in
+    ``device_bytes``.
     """
 
     scene: Scene
@@ -63,14 +65,17 @@ class ConeAnswers:
 
         Args:
             apex: (..., 3) positions in the world [m], finite.
-            target: (..., 3) where the axis ends [m], or leads if ``length`` is given.
+            target: (..., 3) where the axis ends [m], or leads if ``length`` is given. Or a light: the axis ends in its
+                middle; to one at infinity it has no end unless there is a ``length``, and takes a ``half_angle``.
+                Meshes that the light ignores do not count. Its range, and where it shines, play no part.
             radius: (...) of the end [m], at most 14 times the length; or
             half_angle: (...) between axis and mantle [rad], at most 1.5.
             length: (...) of the axis [m]; None: to the target. The end is then rounded to float64.
             first: also find the triangle of each cone that is nearest to the apex, as :meth:`cone_hits` does.
             budget: nodes and triangles that may be looked at for each cone; None is as many as it takes. It does not
                 hold for ``first``.
-                Leading shapes are broadcast.
+
+        Leading shapes are broadcast.
 
         Returns:
             (...) uint8 array of :class:`Outcome` values; with ``first`` also the numbers (...) of triangles, -1 where
@@ -82,17 +87,18 @@ class ConeAnswers:
         asked, most = check_cones(apex, target, radius, half_angle, length), check_budget(budget)
         if not isinstance(first, (bool, np.bool_)):
             raise ValueError(f"first: expected True or False, got {first!r}")
+        ignored = tuple(target.ignore) if isinstance(target, Light) else ()
         if not first:
             return self._engine.ask_cones(
-                self.scene, lambda cones: cones.outcomes(asked.apices, asked.ends, asked.slopes, most)
+                self.scene, lambda cones: cones.outcomes(asked.apices, asked.ends, asked.slopes, most), ignored
             ).reshape(asked.shape)
-        ends = np.insert(asked.ends, 3, 1.0, axis=1)
         outcomes, (numbers, distances) = self._engine.ask_cones(
             self.scene,
             lambda cones: (
                 cones.outcomes(asked.apices, asked.ends, asked.slopes, most),
-                cones.hits(asked.apices, ends, asked.slopes, 1, None),
+                cones.hits(asked.apices, asked.ends, asked.slopes, 1, None),
             ),
+            ignored,
         )
         return outcomes.reshape(asked.shape), numbers.reshape(asked.shape), distances.reshape(asked.shape)
 

@@ -150,8 +150,17 @@ class ShadowTracer(PointAnswers, ConeAnswers):
             self._last.clear()
             self._engine.select(*names)
 
-    def warm_up(self) -> float:
-        """Compile or load every kernel by tracing a separate small scene; returns the seconds it took."""
+    def warm_up(self, cones: bool = False) -> float:
+        """Compile or load every kernel by tracing a separate small scene; returns the seconds it took.
+
+        Args:
+            cones: also those of :meth:`cones` and :meth:`cone_hits`.
+
+        Raises:
+            ValueError: ``cones`` is not a bool.
+        """
+        if not isinstance(cones, (bool, np.bool_)):
+            raise ValueError(f"cones: expected True or False, got {cones!r}")
         begin = time.perf_counter()
         chooser = self._engine.chooser
         if chooser is None:
@@ -164,12 +173,19 @@ class ShadowTracer(PointAnswers, ConeAnswers):
             finally:
                 chooser.forced = None
             self._engine.calibrate()
+        if cones:
+            self._last.clear()
+            self._engine.warm_up_cones(self._triangle())
         return time.perf_counter() - begin
+
+    def _triangle(self) -> Scene:
+        scene = Scene(self._bounds)
+        scene.put("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1)], [(0, 1, 2)])
+        return scene
 
     def _trace_triangle(self, verify: bool = False) -> None:
         self._last.clear()
-        scene = Scene(self._bounds)
-        scene.put("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1)], [(0, 1, 2)])
+        scene = self._triangle()
         camera = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
         light = PointLight("lamp", (0.0, 0.0, 0.0))
         for depth in (np.full((1, 1), 2.0, np.float32), np.full((1, 1), 2000, np.uint16)):

@@ -88,9 +88,10 @@ def transform(
     return make("tf2_msgs/TFMessage", transforms=[stamped])
 
 
-def cloud(points: np.ndarray, stamp: int, frame: str) -> Any:
-    """A PointCloud2 of (N, 3) points, float32."""
-    field = [make("sensor_msgs/PointField", name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate("xyz")]
+def cloud(points: np.ndarray, stamp: int, frame: str, more: Sequence[str] = ()) -> Any:
+    """A PointCloud2 of (N, 3) points, float32, and of as many ``more`` fields as the points have further columns."""
+    names = ["x", "y", "z", *more]
+    field = [make("sensor_msgs/PointField", name=n, offset=4 * i, datatype=7, count=1) for i, n in enumerate(names)]
     data = np.ascontiguousarray(points, np.float32).reshape(-1).view(np.uint8)
     return make(
         "sensor_msgs/PointCloud2",
@@ -99,8 +100,8 @@ def cloud(points: np.ndarray, stamp: int, frame: str) -> Any:
         width=len(points),
         fields=field,
         is_bigendian=False,
-        point_step=12,
-        row_step=12 * len(points),
+        point_step=4 * len(names),
+        row_step=4 * len(names) * len(points),
         data=data,
         is_dense=True,
     )

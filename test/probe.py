@@ -341,7 +341,7 @@ def kept_depth_camera(device: str) -> DepthCamera | None:
 
 
 def loaded(tracer: ShadowTracer) -> set[Any]:
-    """What has been launched on the tracer's device, in the tracer's form, by anybody."""
+    """What has been launched on the tracer's device, in the form of the tracer, by whatever tracer."""
     return tracer._engine._seat.loaded
 
 

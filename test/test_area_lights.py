@@ -27,6 +27,8 @@ from shadow_tracer import (
     SunDisc,
     TubeLight,
 )
+from shadow_tracer.gpu.engine import bands
+from shadow_tracer.gpu.engine import frame as frame_tracer
 
 _LAMPS: list[Any] = [
     RectangleLight("panel", (0.5, 0.25, 3.0), (0.0, 0.75, 0.0), (0.5, 0.0, 0.0), samples=16),
@@ -40,6 +42,13 @@ _LAMPS: list[Any] = [
 ]
 _BIAS = 0.01
 _SMALL = {"max_triangles": 700, "max_rays": 700, "max_lights": 8, "queue_capacity": 2000, "grid_entries": 20_000}
+
+
+@pytest.fixture
+def small_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Several threads have work in a hundred samples."""
+    for module in (bands, frame_tracer):
+        monkeypatch.setattr(module, "LEAST", 32)
 
 
 @cache
@@ -117,6 +126,7 @@ def test_the_scene_tells_the_answers_apart() -> None:
 
 
 @pytest.mark.parametrize("graphs", [False, True])
+@pytest.mark.usefixtures("small_bands")
 @probe.in_forms("names", ["light_grid", "cone_hierarchy", "mesh_bvh"], ["light_grid", "mesh_bvh"])
 @pytest.mark.slow
 def test_frames_recorded_or_not_by_any_number_of_threads(any_device: str, names: str, graphs: bool) -> None:
@@ -132,6 +142,7 @@ def test_frames_recorded_or_not_by_any_number_of_threads(any_device: str, names:
     for threads in (1, 3):
         tracer = ShadowTracer(names, device=any_device, bounds=Bounds(**_SMALL), graphs=graphs, threads=threads)
         tracer.scene.put("scene", *_scene())
+        assert len(probe.bands(tracer)) == (threads if probe.wide(any_device) and not graphs else 1)
         for _ in range(3):
             frame = tracer.trace(depth, camera, _LAMPS, _BIAS)
             for number, light in enumerate(_LAMPS):

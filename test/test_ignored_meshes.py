@@ -10,8 +10,11 @@ import geometry
 import numpy as np
 import probe
 import pytest
+from interrupts import Ring, Steps
 
 from shadow_tracer import Bias, Bounds, Camera, DirectionalLight, PointLight, RectangleLight, ShadowTracer, SphereLight
+from shadow_tracer.gpu.engine import bands
+from shadow_tracer.gpu.engine import frame as frame_tracer
 
 _BOUNDS = {"max_triangles": 2000, "max_rays": 1200, "max_lights": 8, "queue_capacity": 2000, "grid_entries": 20_000}
 _CAMERA = Camera(20, 15, 18.0, 18.0, 9.5, 7.0, geometry.look_at((-4.0, 0.5, 2.5), (0, 0, 0.5), (0, 0, 1)))
@@ -29,6 +32,13 @@ _LIGHTS: list[Any] = [
     RectangleLight("panel", (0.5, 0.25, 3.0), (0.0, 0.25, 0.0), (0.25, 0.0, 0.0), samples=4, ignore=list(_MESHES)),
     PointLight("other", (-1.0, 0.25, 2.0), ignore=["shade"]),
 ]
+
+
+@pytest.fixture
+def small_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Several threads have work in a hundred samples."""
+    for module in (bands, frame_tracer):
+        monkeypatch.setattr(module, "LEAST", 32)
 
 
 def _depth(seed: int) -> np.ndarray:
@@ -73,12 +83,13 @@ def test_a_light_does_not_see_what_it_ignores(tracer: Any) -> None:
         np.testing.assert_array_equal(tracer.occluded(_points(depth), light, 0.01), bits == 0)
 
 
+@pytest.mark.usefixtures("small_bands")
 @pytest.mark.parametrize("graphs", [False, True])
 @pytest.mark.parametrize("cull", [False, True])
 @probe.in_forms(
     "names",
     ["light_grid/packed", "light_grid/spherical", "cone_hierarchy/linear", "cone_hierarchy/precise", "mesh_bvh/refit"]
-    + ["uniform_grid/dda", "hierarchical_grid/nested", "brute_force/float64", "auto/measured"],
+    + ["bvh/sah", "uniform_grid/dda", "hierarchical_grid/nested", "brute_force/float64", "auto/measured"],
     ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"],
 )
 @pytest.mark.slow
@@ -150,6 +161,27 @@ def test_recorded_frames_in_which_every_light_ignores_something(any_device: str,
             np.testing.assert_array_equal(frame.light_bits(light.name).reshape(-1), bits, err_msg=f"{step}")
 
 
+def test_a_mesh_without_triangles_at_the_end_of_the_room(any_device: str) -> None:
+    """Meshes laid end to end fill it; behind them lies one that is only vertices, and is left out as well."""
+    rng, points = np.random.default_rng(201), np.random.default_rng(202).uniform(-2, 2, (300, 3))
+    tracer = ShadowTracer("brute_force", device=any_device, bounds=Bounds(**{**_BOUNDS, "max_triangles": 4}))
+    meshes = {name: geometry.soup(rng, 1, 3.0, 1.0) for name in "abcd"}
+    meshes["e"] = geometry.square(2, 1.5, 0.5)
+    for name in "abcd":
+        tracer.scene.put(name, *meshes[name])
+    lamp = {"position": (0.5, 0.25, 3.0)}
+    tracer.occluded(points, PointLight("lamp", **lamp))
+    for name in "ac":
+        tracer.scene.remove(name)
+    tracer.scene.put("e", *meshes["e"])  # there is no gap for two
+    tracer.scene.put("vertices", meshes["e"][0][:2], np.zeros((0, 3), np.int32))
+    some = tracer.occluded(points, PointLight("lamp", **lamp, ignore=["e", "vertices"]))
+    every = tracer.occluded(points, PointLight("lamp", **lamp))
+    tracer.scene.remove("e")
+    np.testing.assert_array_equal(some, tracer.occluded(points, PointLight("lamp", **lamp)))
+    assert some.sum() < every.sum()
+
+
 def test_sets_of_samples_in_turn(any_device: str) -> None:
     """Two over one scene, of which each leaves out other meshes."""
     tracer = ShadowTracer("light_grid", device=any_device, bounds=Bounds(**{**_BOUNDS, "max_sample_sets": 2}))
@@ -162,3 +194,29 @@ def test_sets_of_samples_in_turn(any_device: str) -> None:
             true = _expected(any_device, _points(depth), lights, _MESHES, 0.01)
             for light, bits in zip(lights, true, strict=True):
                 np.testing.assert_array_equal(frame.light_bits(light.name).reshape(-1), bits)
+
+
+@pytest.mark.usefixtures("small_bands")
+@pytest.mark.slow
+@pytest.mark.parametrize("names", ["light_grid/packed", "bvh/sah"])
+def test_an_interrupt_leaves_nothing_out(names: str) -> None:
+    """While meshes are left out as at any other step: the next frames see all of them, or what they leave out."""
+    tracer, steps = ShadowTracer(*names.split("/"), device="cpu", bounds=Bounds(**_BOUNDS), threads=2), Steps()
+    _put(tracer, _MESHES)
+    true = _expected("cpu", _points(_depth(199)), _LIGHTS, _MESHES, 0.01)
+
+    def trace() -> list[np.ndarray]:
+        frame = tracer.trace(_depth(199), _CAMERA, _LIGHTS, 0.01)
+        return [frame.light_bits(light.name).reshape(-1) for light in _LIGHTS]
+
+    trace()
+    total, interrupted = steps.count(trace), 0
+    for at in np.random.default_rng(200).integers(1, total, 12):
+        tracer.scene.deform("ball", _MESHES["ball"][0])
+        try:
+            steps.run(trace, int(at))
+        except Ring:
+            interrupted += 1
+        np.testing.assert_array_equal(tracer.occluded(_points(_depth(199)), _LIGHTS[1], 0.01), true[1] == 0)
+        np.testing.assert_array_equal(trace(), true)
+    assert interrupted > 6

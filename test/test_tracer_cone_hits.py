@@ -75,6 +75,20 @@ def test_order_pieces_and_no_duplicates(any_device: str, kernel_form: str) -> No
         np.testing.assert_array_equal(np.concatenate([t for _, t in pieces], axis=1), distances[:, :count])
 
 
+def test_lists_go_on_behind_any_number(any_device: str) -> None:
+    """Also behind one that is no triangle's, however large: it is compared, and not cut to its last bits."""
+    tracer = _tracer(any_device, geometry.integer_soup(np.random.default_rng(523), 100))
+    cone = (0.0, 0.0, 9.0), (0.0, 0.0, -1.0), 0.5, 100
+    numbers, distances = tracer.cone_hits(*cone)
+    at = int(np.flatnonzero(distances[1:] == distances[:-1])[0])  # the first of several at one distance
+    assert 0 < numbers[at] and distances[at] < distances[-1]
+    for dtype in (np.uint64, np.int64):
+        further, _ = tracer.cone_hits(*cone, after=(distances[at], dtype(2**32)))
+        np.testing.assert_array_equal(further[further >= 0], numbers[(distances > distances[at]) & (numbers >= 0)])
+    further, _ = tracer.cone_hits(*cone, after=(distances[at], -(2**32)))
+    np.testing.assert_array_equal(further[further >= 0], numbers[(distances >= distances[at]) & (numbers >= 0)])
+
+
 def test_half_angle_zero_is_the_ray(any_device: str) -> None:
     rng = np.random.default_rng(522)
     mesh = geometry.integer_soup(rng, 80)

@@ -3,16 +3,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from shadow_tracer.scene.area_lights import AreaLight
 from shadow_tracer.scene.checks import LARGEST, FloatArray, reals
+from shadow_tracer.scene.lights import Light
 
 WIDEST = 1.5
 """Half angles beyond this [rad], 86 degrees, are refused."""
+STEEPEST = math.tan(WIDEST)
+"""The largest radius of an end, in parts of the length."""
 MOST_HITS = 4096
 # A cone that has a width has this one at least, in parts of its length: far below what its answers leave in doubt.
 _LEAST_SLOPE = 1e-30
@@ -26,7 +31,7 @@ class ConeArrays:
     Attributes:
         shape: of what was asked, N in all.
         apices: (N, 3).
-        ends: (N, 3) where their axes end, or (N, 4): points and 1, or directions and 0 of cones without an end.
+        ends: (N, 4) where their axes end: points and 1, or directions and 0 of cones without an end.
         slopes: (N,) tangents of their half angles.
     """
 
@@ -34,6 +39,11 @@ class ConeArrays:
     apices: FloatArray
     ends: FloatArray
     slopes: FloatArray
+
+
+def place_of(light: Light) -> FloatArray:
+    """(4,) homogeneous position of a light's middle: a point and 1, or the direction to it and 0."""
+    return (light.shines if isinstance(light, AreaLight) else light).homogeneous
 
 
 def _points(value: Any, field: str) -> FloatArray:
@@ -80,35 +90,44 @@ def _first(wrong: npt.NDArray[np.bool_]) -> int:
 
 
 def check_cones(apex: Any, target: Any, radius: Any, half_angle: Any, length: Any) -> ConeArrays:
-    """Cones with an end.
+    """Cones with an end, or to a light.
 
     Raises:
         ValueError: an argument is malformed; the message names it.
     """
     if (radius is None) == (half_angle is None):
         raise ValueError("radius: expected either radius or half_angle, got " + ("none" if radius is None else "both"))
+    endless = False
+    if isinstance(target, Light):
+        place = place_of(target)
+        target, endless = place[:3], place[3] == 0.0
+    if endless and length is None:
+        if half_angle is None:
+            raise ValueError("radius: expected half_angle for cones to a light at infinity, got radius")
+        return check_axes(apex, target, half_angle)
     wide = (
         _sizes(radius, "radius", 0.0, LARGEST) if half_angle is None else _sizes(half_angle, "half_angle", 0.0, WIDEST)
     )
     arrays = {"apex": _points(apex, "apex"), "target": _points(target, "target"), "radius": wide}
     if length is not None:
         arrays["length"] = _sizes(length, "length", _SHORTEST, LARGEST)
-    shape, (apices, ends, sizes, *lengths) = _together(**arrays)
-    far = _lengths(ends - apices)
+    shape, (apices, targets, sizes, *lengths) = _together(**arrays)
+    ways = targets if endless else targets - apices
+    far = _lengths(ways)
     if (far < _SHORTEST).any():
         raise ValueError(f"target: expected points other than the apices, got the apex at {_first(far < _SHORTEST)}")
     if lengths:
-        ends = apices + (ends - apices) * (lengths[0] / far)[:, None]
-        far = _lengths(ends - apices)
+        targets = apices + ways * (lengths[0] / far)[:, None]
+        far = _lengths(targets - apices)
         wrong = ~(np.abs(far - lengths[0]) <= 1e-6 * lengths[0])
         if wrong.any():
             at = _first(wrong)
             raise ValueError(f"length: expected one that float64 can add to the apex, got {lengths[0][at]} at {at}")
     slopes = sizes / far if half_angle is None else np.tan(sizes)
-    if half_angle is None and (slopes > np.tan(WIDEST)).any():
-        at = _first(slopes > np.tan(WIDEST))
-        raise ValueError(f"radius: expected at most {np.tan(WIDEST):.1f} times the length, got {sizes[at]} at {at}")
-    return ConeArrays(shape, apices, ends, _wide(sizes, slopes))
+    if half_angle is None and (slopes > STEEPEST).any():
+        at = _first(slopes > STEEPEST)
+        raise ValueError(f"radius: expected at most {STEEPEST:.1f} times the length, got {sizes[at]} at {at}")
+    return ConeArrays(shape, apices, np.insert(targets, 3, 1.0, axis=1), _wide(sizes, slopes))
 
 
 def check_axes(apex: Any, axis: Any, half_angle: Any) -> ConeArrays:
@@ -162,7 +181,7 @@ def check_budget(budget: Any) -> int | None:
     return int(budget)
 
 
-def check_after(after: Any, shape: tuple[int, ...]) -> tuple[FloatArray, npt.NDArray[np.int64]] | None:
+def check_after(after: Any, shape: tuple[int, ...]) -> tuple[FloatArray, npt.NDArray[np.int32]] | None:
     """Distance and number of the last triangle that is not asked for, of each cone.
 
     Raises:
@@ -180,4 +199,5 @@ def check_after(after: Any, shape: tuple[int, ...]) -> tuple[FloatArray, npt.NDA
         pair = np.broadcast_to(distances, shape), np.broadcast_to(numbers, shape)
     except ValueError as error:
         raise ValueError(f"after: expected shape {shape}, got {distances.shape} and {numbers.shape}") from error
-    return pair[0].reshape(-1), pair[1].reshape(-1).astype(np.int64)
+    # All that counts is which triangles, whose numbers are int32, have greater ones.
+    return pair[0].reshape(-1), np.clip(pair[1].reshape(-1).astype(float), -1, 2**31 - 1).astype(np.int32)

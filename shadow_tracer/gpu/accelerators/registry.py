@@ -146,9 +146,9 @@ def resolve(pipeline: str, variant: str | None) -> tuple[str, str]:
     return pipeline, variant
 
 
-def cones(scene: SceneBuffers) -> Cones:
-    """What answers questions about cones over a scene, whatever pipeline traces its frames."""
-    found: Cones = import_module("shadow_tracer.gpu.accelerators.bvh.cones").Cones(scene)
+def cones(scene: SceneBuffers, threads: int) -> Cones:
+    """What answers questions about cones over a scene, by so many threads, whatever pipeline traces its frames."""
+    found: Cones = import_module("shadow_tracer.gpu.accelerators.bvh.cones").Cones(scene, threads)
     return found
 
 

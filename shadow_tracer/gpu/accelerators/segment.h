@@ -1,6 +1,6 @@
 // needs: query exact/light.h
 // arguments: SceneBox structure.box
-// constants: BOX_PADDING FAR_AWAY WIDER STEEPEST
+// constants: BOX_PADDING FAR_AWAY WIDER
 // A ray in the box of the scene, in units of its extent; see segment.py.
 struct Segment {
     enum { MISSES, MEETS, TOO_FAR };
@@ -8,8 +8,6 @@ struct Segment {
     // What the low and the high sides of boxes are compared with: the origin, moved as far as rays of the query may be
     // beside this one.
     wp::vec3 above, below;
-    // Of queries about bundles: where their upper and lower sides begin, and one over how fast these go along the ray.
-    wp::vec3 upper, lower, upper_inverse, lower_inverse;
     float longest;
     double from, to; // where it is in the box
 
@@ -25,10 +23,6 @@ struct Segment {
         const double near = one < two ? one : two, far = one < two ? two : one;
         from = near > from ? near : from;
         to = far < to ? far : to;
-    }
-    // How fast rays of the query leave this one along an axis.
-    static inline double spreading(const Query1& query, int axis, double length) {
-        return WIDER * query.spread()[axis] / (query.light()[3] != 0.0 ? length : 1.0);
     }
     inline int place(const Query1& query, const SceneBox& box) {
         const wp::vec4d &sample = query.sample(), &light = query.light();
@@ -55,21 +49,8 @@ struct Segment {
             above[k] = Query1::SPREADS ? origin[k] + (float)beside[k] : origin[k];
             below[k] = Query1::SPREADS ? origin[k] - (float)beside[k] : origin[k];
         }
-        if (Query1::SPREADS)
-            spread(query, start, way);
         longest = holding(to - from);
         return MEETS;
-    }
-    inline void spread(const Query1& query, const double* start, const wp::vec4d& way) {
-        for (int k = 0; k < 3; ++k) {
-            const double faster = spreading(query, k, way[3]), at = start[k] + way[k] * from;
-            // A sample in the middle of the light: its rays are of any direction.
-            const bool cone = faster < STEEPEST;
-            upper[k] = cone ? (float)(at + faster * from) : above[k];
-            lower[k] = cone ? (float)(at - faster * from) : below[k];
-            upper_inverse[k] = 1.0f / (cone ? away_from_zero(way[k] + faster) : direction[k]);
-            lower_inverse[k] = 1.0f / (cone ? away_from_zero(way[k] - faster) : direction[k]);
-        }
     }
     static inline float holding(double length) { return (float)(length * 1.0001 + BOX_PADDING); }
     // Leaves out what the query has found to be too far off to matter.

@@ -17,15 +17,15 @@ unit way of the middle ray: what a ray meets at s is at least s away from p, alo
 the farthest corner of the scene's box, and e times that takes the place of e.
 
 ``above`` and ``below`` are the origin moved by the most that rays may be beside it anywhere, for walks that take a
-bundle for a beam of one width. ``upper`` and ``lower`` begin where the bundle does, moved by what it is wide there,
-and go along each axis by ``1 / upper_inverse`` and ``1 / lower_inverse``, so a bundle gets wider with the way, a
-pyramid. At t along it rays are between lower + t / lower_inverse and upper + t / upper_inverse; a box is met if there
-is a t for which that range meets the box's along each axis: six inequalities in t (exact for the union of the boxes
-that the points with share s lie in). A pyramid is taken 1e-5 wider than it is (``WIDER``). Let a be how wide it is
-where it enters the box of the scene, b how much wider it gets in a unit of t: roundings of ``upper`` are u (1 + a) at
-most, those of a slope u (1 + b), those of the quotient 3 u (2 + a + b t) as a displacement of the box's face. What
-scales with a and b t is less than 1e-5 of it; the rest is 1 u + 4 u + 6 u, of the 27 u E that there are. Where b is
-1e6 or more, the sample is in the middle of the light, and the pyramid is replaced by the beam.
+bundle for a beam of one width. ``upper`` and ``lower`` (``bvh/bundle_sides.h``) begin where the bundle does, moved by
+what it is wide there, and go along each axis by ``1 / upper_inverse`` and ``1 / lower_inverse``, so a bundle gets wider
+with the way, a pyramid. At t along it rays are between lower + t / lower_inverse and upper + t / upper_inverse; a box
+is met if there is a t for which that range meets the box's along each axis: six inequalities in t (exact for the union
+of the boxes that the points with share s lie in). A pyramid is taken 1e-5 wider than it is (``WIDER``). Let a be how
+wide it is where it enters the box of the scene, b how much wider it gets in a unit of t: roundings of ``upper`` are u
+(1 + a) at most, those of a slope u (1 + b), those of the quotient 3 u (2 + a + b t) as a displacement of the box's
+face. What scales with a and b t is less than 1e-5 of it; the rest is 1 u + 4 u + 6 u, of the 27 u E that there are.
+Where b is 1e6 or more, the sample is in the middle of the light, and the pyramid is replaced by the beam.
 
 A query may find out on the way that nothing matters beyond some length (``query.shortened()``). The segment then ends
 there (``shorten``), or a little behind: the length in units of E, less where the box begins, is off by what clipping

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Things that several hold and one makes."""
+"""What is made once and used in several places."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ _Made = TypeVar("_Made")
 
 
 class Shared:
-    """What is made once for all that need it: one of a kind, which lives as long as somebody holds it."""
+    """What is made once for all that need it: one of a kind, which lives as long as something holds it."""
 
     def __init__(self) -> None:
         self._made: WeakValueDictionary[Hashable, Any] = WeakValueDictionary()
 
     def take(self, kind: Hashable, make: Callable[[], _Made]) -> _Made:
-        """The one of its kind, made when nobody has it."""
+        """The one of its kind, made when there is none."""
         made = self._made.get(kind)
         if made is None:
             self._made[kind] = made = make()
@@ -25,7 +25,7 @@ class Shared:
         return found
 
     def find(self, kind: type[_Made]) -> _Made | None:
-        """The one of its kind, None if nobody has it."""
+        """The one of its kind, None if there is none."""
         return self._made.get(kind)
 
     def nbytes(self) -> int:

@@ -24,7 +24,7 @@ _PLACES = 4
 
 
 class Uploads:
-    """Copies numpy arrays to a device. Only for use by one thread, outside of recordings.
+    """Copies numpy arrays to a device. Only for use by one thread if they are staged, and outside of recordings.
 
     The device fetches a piece while the host copies the next one into the ring, and works while the host copies another
     array: it waits for nothing but what it is to read, and the host only for a place in the ring.

@@ -4,14 +4,18 @@ pipeline can answer for all points of a sample at once, one walk for every 64 of
 
 A bundle of rays to a large light, or to one with something close around it, meets so many triangles that rays one by
 one cost less. So some samples try the bundle out first, and the triangles that they are shown are counted: never the
-time, so that a frame takes the same way each time. Both ways give the same bits.
+time, which other programs change. Both ways give the same bits.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeVar
 
 from shadow_tracer.gpu.device.stages import Stages
+from shadow_tracer.gpu.device.workers import Job
 from shadow_tracer.gpu.engine.band import Band
 from shadow_tracer.gpu.engine.gather import Traced, gather_stages
 from shadow_tracer.gpu.occluders.world import SceneBuffers
@@ -26,6 +30,9 @@ PILOT, WORTH = 256, 8
 # mesh_bvh to a single point 0.15 to 0.3 us, with what is made of the triangles for that point (BART robots, Sponza).
 MOST_SHOWN = 2.0
 
+Run = Callable[[Sequence[Job]], None]
+_Found = TypeVar("_Found")
+
 
 def trace_area_lights(
     working: Sequence[Band],
@@ -33,6 +40,7 @@ def trace_area_lights(
     lights: Sequence[Light],
     together: int,
     trace: Callable[[Sequence[HardLight], bool], Traced],
+    run: Run,
     whole: Stages,
 ) -> Traced:
     """States of all lights.
@@ -42,6 +50,7 @@ def trace_area_lights(
         scene: the world, in which the meshes that a light ignores cast nothing for the time of its batches.
         together: the most hard lights of a batch.
         trace: traces hard lights; whether they are the first of the frame.
+        run: does what each band asks for all points of a light, side by side or in turn.
         whole: times of what is done for all bands at once.
     """
     masks = MASK in working[0].pipeline.traits.queries
@@ -57,14 +66,15 @@ def trace_area_lights(
         counters, stages = light_points.add_up(counters, traced.counters), traced.stages
         for place, number, light in tally.area_lights(batch):
             points = light.homogeneous_points
-            bundle, spent = _is_bundle(working, place, points[:MASK_POINTS])
+            bundled, spent = _is_bundle(run, working, place, points[:MASK_POINTS])
             counters = _plus(counters, spent)
-            if not bundle:
+            if not bundled:
                 tally.divide(number)
                 continue
             for begin in range(0, light.samples, MASK_POINTS):
-                for band in working:
-                    seen, counts = band.see(place, points[begin : begin + MASK_POINTS])
+                some = points[begin : begin + MASK_POINTS]
+                found = _each(run, working, Band.see, place, some)
+                for band, (seen, counts) in zip(working, found, strict=True):
                     tally.put(number, begin, band.samples.first, seen)
                     counters = _plus(counters, counts)
             stages = gather_stages(whole, working)
@@ -73,14 +83,26 @@ def trace_area_lights(
     return Traced(states, stages, counters, reaching)
 
 
-def _is_bundle(working: Sequence[Band], place: int, points: FloatArray) -> tuple[bool, dict[str, int]]:
+def _each(run: Run, working: Sequence[Band], ask: Callable[..., _Found], *arguments: Any) -> list[_Found]:
+    """What each band finds."""
+    found: dict[Band, _Found] = {}
+
+    def job(band: Band) -> None:
+        begin = time.perf_counter()
+        found[band] = ask(band, *arguments)
+        band.busy += time.perf_counter() - begin
+
+    run([partial(job, band) for band in working])
+    return [found[band] for band in working]
+
+
+def _is_bundle(run: Run, working: Sequence[Band], place: int, points: FloatArray) -> tuple[bool, dict[str, int]]:
     """Whether samples should ask about all points of a light together, and what it took to find out."""
     count = sum(band.samples.count for band in working)
     if count < WORTH * PILOT:
         return True, {}
     spent: dict[str, int] = {}
-    for band in working:
-        counts = band.try_out(place, points, count // PILOT)
+    for counts in _each(run, working, Band.try_out, place, points, count // PILOT):
         spent = _plus(counts, spent)
     rays = spent.pop("rays", 0)  # they are asked again
     return spent.get("leaf_tests", 0) <= MOST_SHOWN * rays, spent

@@ -155,7 +155,7 @@ class Band:
         nothing."""
         if self.context.scene.triangle_count == 0:
             return np.full(self.samples.count, (1 << len(points)) - 1, np.uint64), {}
-        return self._ask(place, points, 1).numpy()[: self.samples.count], self._counted()
+        return self._ask(place, points, 1)[: self.samples.count].numpy(), self._counted()
 
     def try_out(self, place: int, points: FloatArray, every: int) -> dict[str, int]:
         """The counters of ``see`` if only one in so many samples asks."""

@@ -9,7 +9,7 @@ are allocated again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -61,7 +61,8 @@ class Engine:
 
     Args:
         graphs: whether frames are recorded; None: on a GPU. Not where the device cannot.
-        threads: how many bands of the rays are worked on side by side, on the CPU and where the pipeline allows it.
+        threads: how many bands of the rays are worked on side by side, on the CPU and where the pipeline allows it,
+            and how many threads ask about cones.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class Engine:
     ) -> None:
         self.device = device
         self.bounds = bounds
+        self._cores = threads
         self._graphs = (device.is_cuda if graphs is None else graphs) and can_record(device)
         self._workers = Workers(band_count(device, bounds, threads, self._graphs))
         self._seat = Seat(device, records=self._graphs)
@@ -268,19 +270,32 @@ class Engine:
         )
         return self._trace(trace, verify, frames, samples)
 
-    def ask_cones(self, scene: Scene, question: Callable[[Cones], _Result]) -> _Result:
-        """What ``question`` finds out of what answers questions about cones, over the scene as it is."""
+    def ask_cones(self, scene: Scene, question: Callable[[Cones], _Result], ignored: Collection[str] = ()) -> _Result:
+        """What ``question`` finds out of what answers questions about cones, over the scene as it is, in which meshes
+        of the names ``ignored`` cast nothing."""
 
         def ask(inside: _Inside) -> _Result:
             inside.scene.sync(scene)
             if inside.cones is None:
-                inside.cones = inside.scene.made.take("cones", lambda: cones(inside.scene))
-            found = question(inside.cones)
+                inside.cones = inside.scene.made.take("cones", lambda: cones(inside.scene, self._cores))
             if inside.scene.triangle_count:
+                inside.cones.follow()  # what is made of the scene is made of all of it
                 self._seat.loaded.add("cones")
+            inside.scene.leave_out(ignored)
+            found = question(inside.cones)
+            inside.scene.leave_out(())
             return found
 
         return self._whole(ask, ["cones"])
+
+    def warm_up_cones(self, scene: Scene) -> None:
+        """Compile or load the kernels for cones, those that build and refit the tree among them."""
+        apex, end = np.zeros((1, 3)), np.array([[0.1, 0.1, 2.0, 1.0]])
+        for _ in range(2):
+            self.ask_cones(scene, lambda cones: cones.outcomes(apex, end, np.full(1, 0.1), None))
+            self.ask_cones(scene, lambda cones: cones.hits(apex, end, np.full(1, 0.1), 1, None))
+            for mesh in list(scene):  # the second time it is elsewhere
+                scene.deform(mesh.name, mesh.vertices + 0.5)
 
     def _trace(
         self, trace: Callable[[FrameTracer], Traced], verify: bool, frames: Sequence[Kind], samples: str | None

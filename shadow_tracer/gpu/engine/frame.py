@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -18,7 +18,7 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import FrameGraphs
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.device.workers import Job, Workers
-from shadow_tracer.gpu.engine.area_lights import trace_area_lights
+from shadow_tracer.gpu.engine.area_lights import Run, trace_area_lights
 from shadow_tracer.gpu.engine.automatic import Chooser, Names, Situation
 from shadow_tracer.gpu.engine.band import Band
 from shadow_tracer.gpu.engine.bands import LEAST, Balance, even_bands
@@ -65,7 +65,7 @@ class FrameTracer:
         chooser: who chooses the pipeline of each frame; None if it is always ``names``.
         graphs: whether frames are recorded where the pipeline allows it.
         workers: threads for the bands of the rays that are worked on side by side where the pipeline allows it.
-        loaded: which kernels have been launched by this tracer, and by anybody on the device; both are added to.
+        loaded: which kernels have been launched by this tracer, and on the device at all; both are added to.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class FrameTracer:
         self._use_graphs = graphs
         self._graphs = FrameGraphs(device)
         self._workers = workers
-        self._loaded, self._loaded_by_anybody = loaded
+        self._loaded, self._loaded_at_all = loaded
         self._cold = False  # whether this frame has loaded kernels, or recorded its launches
         mirrored = not forms.wide(device) or graphs
         self._whole = SampleSet(bounds, device, workers.count, mirrored=mirrored)
@@ -256,8 +256,10 @@ class FrameTracer:
             return self._trace_lights(working, batch, source if first else None)
 
         kernels = (working[0].names, _POINTS, self._scene.triangle_count > 0)
-        self._cold |= soft and kernels not in self._loaded
-        traced = trace_area_lights(working, self._scene, lights, self.bounds.max_lights, trace, self.stages)
+        loaded = kernels in self._loaded
+        self._cold |= soft and not loaded
+        run = self._runner(working, loaded)
+        traced = trace_area_lights(working, self._scene, lights, self.bounds.max_lights, trace, run, self.stages)
         if soft:
             self._launched(kernels)
         return traced
@@ -328,14 +330,17 @@ class FrameTracer:
                 key = (*key, records.front_face_culling, *map(bool, stale))
                 self._cold |= self._graphs.run(key, launch)
         else:
-            side_by_side = loaded and len(working) > 1
-            self._run(working, passes, source, self._workers.run if side_by_side else _one_after_the_other)
+            self._run(working, passes, source, self._runner(working, loaded))
         self._launched(kernels)
+
+    def _runner(self, working: Sequence[Band], loaded: bool) -> Run:
+        """Who does the jobs of the bands; ``loaded``: all kernels that they launch."""
+        return self._workers.run if loaded and len(working) > 1 else _one_after_the_other
 
     def _launched(self, kernels: Loaded) -> None:
         """These are loaded."""
         self._loaded.add(kernels)
-        self._loaded_by_anybody.add(kernels)
+        self._loaded_at_all.add(kernels)
 
     @staticmethod
     def _mend(band: Band, passes: Sequence[Rays], stale: Sequence[Changed]) -> list[Changed]:
@@ -358,7 +363,7 @@ class FrameTracer:
         working: Sequence[Band],
         passes: Sequence[Rays],
         source: Source | None,
-        run: Callable[[Sequence[Job]], None],
+        run: Run,
     ) -> None:
         """The order of a frame: of each pass first what one band makes for all of them."""
         for number, rays in enumerate(passes):

@@ -41,7 +41,7 @@ def gather_states(working: Sequence[Band], lights: int) -> npt.NDArray[np.uint8]
 
 
 def gather_counters(working: Sequence[Band]) -> dict[str, int]:
-    """Counters of all together; each pipeline is told those of its own."""
+    """Counters of all together; each pipeline learns from those of its own rays."""
     total: dict[str, int] = {}
     for band in working:
         counters = band.samples.read_counters()

@@ -183,11 +183,11 @@ class SceneBuffers:
         out = merged(self._parts[name].slot[1] for name in gone)
         if out == self.left_out:
             return
+        for first, last in out:
+            self.triangles[first:last].fill_(wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX))
         for name, part in self._parts.items():
             first, last = part.slot[1]
-            if name in gone:
-                self.triangles[first:last].fill_(wp.vec3i(GAP_VERTEX, GAP_VERTEX, GAP_VERTEX))
-            elif any(begin < last and first < end for begin, end in self.left_out):
+            if name not in gone and any(begin < last and first < end for begin, end in self.left_out):
                 self._put_triangles(part.mesh.triangles, part.first_vertex, first)
         self.left_out = out
 

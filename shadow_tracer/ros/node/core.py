@@ -230,6 +230,12 @@ class Core:
         what = f"{tracer.pipeline}/{tracer.variant} on {tracer.device}"
         logger.info(f"Ready: {what}; compiling and loading kernels took {outcome.seconds:.1f} s")
 
+    def _on_cones(self, outcome: Outcome) -> None:
+        if outcome.error:
+            self.node.get_logger().error(f"kernels for cones: {outcome.error}")
+        elif self.host.made is not None:
+            self.health.device.reserved = self.host.made.device_bytes
+
     # Work
 
     def _step(self) -> None:
@@ -244,6 +250,9 @@ class Core:
             self._publish(answer, settings)
             self._expose(answer, settings, tracer)
             self._note_choice(tracer.choice)
+        if self.queries.about_cones and not self.host.ready_for_cones:  # they wait, frames do not wait longer
+            self.host.prepare_cones(self._on_cones)
+            return
         self.queries.step(
             settings, tracer, self.inputs.camera_frame, time.monotonic(), self.now_ns(), self.outputs.visibility.publish
         )

@@ -35,6 +35,7 @@ _BUSY_WORDS = {
     "start": "starting up for {:.0f} s: kernels are being loaded or, the first time, compiled",
     "select": "loading another pipeline for {:.0f} s: its kernels are compiled the first time",
     "verify": "loading the second pipeline of verify_every for {:.0f} s",
+    "cones": "loading what answers about cones for {:.0f} s: its kernels are compiled the first time",
     "self-test": "self test for {:.0f} s: every pipeline traces a built-in scene, kernels are compiled the first time",
 }
 

@@ -48,6 +48,7 @@ class TracerHost:
         self._outcome: Outcome | None = None
         self._waiting: list[_Job] = []
         self._started = 0.0
+        self._cones = False
 
     @property
     def tracer(self) -> ShadowTracer | None:
@@ -66,8 +67,13 @@ class TracerHost:
 
     @property
     def doing(self) -> str:
-        """Name of the running job, "" if there is none: start, select, verify or self-test."""
+        """Name of the running job, "" if there is none: start, select, verify, cones or self-test."""
         return self._running.name if self._running else ""
+
+    @property
+    def ready_for_cones(self) -> bool:
+        """Whether kernels for cones have been loaded, or could not be."""
+        return self._cones
 
     def busy_for(self) -> float:
         """Seconds since the running job began."""
@@ -99,7 +105,7 @@ class TracerHost:
             before = (tracer.pipeline, tracer.variant)
             try:
                 tracer.select(settings.pipeline, settings.variant or None)
-                tracer.warm_up()
+                tracer.warm_up(cones=self._cones)
                 if settings.verify_every:
                     tracer.prepare_verify()
             except Exception:
@@ -119,6 +125,15 @@ class TracerHost:
 
         self._submit(_Job("verify", work, done))
 
+    def prepare_cones(self, done: Done) -> None:
+        """Compile or load the kernels for cones."""
+
+        def work() -> None:
+            self._cones = True  # whatever comes of it: not again before each question
+            self._needed().warm_up(cones=True)
+
+        self._submit(_Job("cones", work, done))
+
     def self_test(self, done: Done) -> None:
         """Trace a built-in scene on every pipeline; the outcome's value is a list of :class:`self_test.Result`."""
 
@@ -132,6 +147,7 @@ class TracerHost:
         if self.busy:
             raise RuntimeError(f"tracer: {self.doing} is running")
         self._tracer = None
+        self._cones = False
         self._waiting.clear()
 
     def collect(self) -> None:

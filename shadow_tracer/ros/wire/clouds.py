@@ -27,6 +27,8 @@ _UINT8, _UINT32, _FLOAT32, _FLOAT64 = 2, 6, 7, 8
 _REAL = {_FLOAT32: "f4", _FLOAT64: "f8"}
 _NORMAL = ("normal_x", "normal_y", "normal_z")  # as the Point Cloud Library writes them
 
+_CONES = ("radius", "half_angle")  # of cones to lights
+
 # x, y, z, lights, known of an answer: name, offset, datatype, format. Padded so that all rows of points stay aligned.
 _ANSWER = (
     ("x", 0, _FLOAT32, "<f4"),
@@ -35,7 +37,9 @@ _ANSWER = (
     ("lights", 12, _UINT32, "<u4"),
     ("known", 16, _UINT8, "u1"),
 )
-_ANSWER_STEP = 20
+# And what is certain of cones.
+_CERTAIN = (("free", 20, _UINT32, "<u4"), ("blocked", 24, _UINT32, "<u4"))
+_ANSWER_STEP, _CERTAIN_STEP = 20, 28
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class _Layout:
     width: int
     point_step: int
     row_step: int
-    columns: tuple[tuple[int, np.dtype[Any]], ...]  # offset and format of x, y, z, or of other three
+    columns: tuple[tuple[int, np.dtype[Any]], ...]  # offset and format of x, y, z, or of other fields
 
     @property
     def count(self) -> int:
@@ -57,10 +61,8 @@ def _column(fields: Any, name: str, wanted: Sequence[str], point_step: int, orde
     found = [field for field in fields if field.name == name]
     if len(found) != 1:
         names = [str(field.name) for field in fields[:16]]
-        raise PartError(
-            f"fields: expected one each of {wanted[0]}, {wanted[1]} and {wanted[2]}, "
-            f"got {names}{' ...' if len(fields) > 16 else ''}"
-        )
+        what = f"one each of {', '.join(wanted[:-1])} and {wanted[-1]}" if wanted[1:] else f"one {wanted[0]}"
+        raise PartError(f"fields: expected {what}, got {names}{' ...' if len(fields) > 16 else ''}")
     offset, datatype, count = int(found[0].offset), int(found[0].datatype), int(found[0].count)
     kind = _REAL.get(datatype)
     if kind is None:
@@ -92,10 +94,10 @@ def _layout(msg: Any, wanted: Sequence[str] = "xyz") -> _Layout:
     return _Layout(height, width, point_step, row_step, columns)
 
 
-def _points(msg: Any, layout: _Layout) -> FloatArray:
-    points = np.empty((layout.count, 3))
+def _points(msg: Any, layout: _Layout, columns: int = 3) -> FloatArray:
+    points = np.empty((layout.count, columns))
     if layout.count:
-        grid = points.reshape(layout.height, layout.width, 3)
+        grid = points.reshape(layout.height, layout.width, columns)
         strides = (layout.row_step, layout.point_step)
         with np.errstate(invalid="ignore"):  # a signalling NaN is one, too
             for k, (offset, dtype) in enumerate(layout.columns):
@@ -144,6 +146,33 @@ def cloud_normals(msg: Any) -> FloatArray | None:
     length = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
     normals[good] /= length[good, None]
     return normals
+
+
+def cloud_cones(msg: Any, most: Mapping[str, float]) -> tuple[str, FloatArray] | None:
+    """How wide the cones are that the points of a cloud are apices of, row by row.
+
+    Args:
+        msg: as for :func:`cloud_points`; with a field radius or half_angle, of the same types as x, y, z.
+        most: the largest value of each.
+
+    Returns:
+        "radius" [m] or "half_angle" [rad], and (height * width,) float64; NaN and infinity stay what they are. None:
+        the cloud has neither field.
+
+    Raises:
+        PartError: as for :func:`cloud_points`, it has both fields, or a number that is negative or too large.
+    """
+    names = sorted({field.name for field in msg.fields if field.name in _CONES})
+    if not names:
+        return None
+    if len(names) == 2:
+        raise PartError("fields: expected radius or half_angle, got both")
+    name = str(names[0])
+    sizes = _points(msg, _layout(msg, names), 1)[:, 0]
+    wrong = np.flatnonzero(np.isfinite(sizes) & ~((sizes >= 0.0) & (sizes <= most[name])))
+    if len(wrong):
+        raise PartError(f"data: expected {name} from 0 to {most[name]:g}, got {sizes[wrong[0]]:g} for point {wrong[0]}")
+    return name, sizes
 
 
 def soup_part(msg: Any, parts: Mapping[str, Part], max_triangles: int) -> Changes:
@@ -197,7 +226,13 @@ def soup_part(msg: Any, parts: Mapping[str, Part], max_triangles: int) -> Change
     return Changes(put=(part,))
 
 
-def visibility_cloud(msg: Any, points: FloatArray, bits: npt.ArrayLike, known: npt.ArrayLike) -> Any:
+def visibility_cloud(
+    msg: Any,
+    points: FloatArray,
+    bits: npt.ArrayLike,
+    known: npt.ArrayLike,
+    certain: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+) -> Any:
     """The answer to a query: its points with what reaches them.
 
     Args:
@@ -205,41 +240,58 @@ def visibility_cloud(msg: Any, points: FloatArray, bits: npt.ArrayLike, known: n
         points: (N, 3) its points, as :func:`cloud_points` gives them.
         bits: (N,) unsigned integers below 2^32; bit i tells that light i reaches the point.
         known: (N,) bool, False where nothing is known of the point.
+        certain: of a query about cones two more of such (N,): bit i tells that the cone to light i is certainly free,
+            and that it is certainly blocked.
 
     Returns:
         A message of the class of ``msg``, little endian, of 20 bytes a point: x, y, z FLOAT32, lights UINT32, known
-        UINT8 (1 or 0).
+        UINT8 (1 or 0); of 28 with free UINT32 and blocked UINT32 if ``certain`` is there.
 
     Raises:
         ValueError: the arrays do not have one row for each point of ``msg``, or a bit above 31 is set.
     """
     height, width = int(msg.height), int(msg.width)
-    bits, known = np.asarray(bits), np.asarray(known, dtype=np.bool_)
     count = height * width
-    for name, array_, shape in (("points", points, (count, 3)), ("bits", bits, (count,)), ("known", known, (count,))):
+    known = np.asarray(known, dtype=np.bool_)
+    for name, array_, shape in (("points", points, (count, 3)), ("known", known, (count,))):
         if array_.shape != shape:
             raise ValueError(f"{name}: expected shape {shape}, got {array_.shape}")
-    if count and (bits.dtype.kind not in "iu" or int(bits.min()) < 0 or int(bits.max()) >= 2**32):
-        raise ValueError(f"bits: expected integers from 0 to 2^32 - 1, got dtype {bits.dtype} up to {bits.max()}")
-    names, offsets, _, formats = zip(*_ANSWER, strict=True)
-    layout: Any = {"names": names, "offsets": offsets, "formats": formats, "itemsize": _ANSWER_STEP}
+    columns = {"lights": _bit_field("bits", bits, count)}
+    if certain is not None:
+        free, blocked = (_bit_field("certain", values, count) for values in certain)
+        columns |= {"free": free, "blocked": blocked}
+    answer, step = (_ANSWER, _ANSWER_STEP) if certain is None else ((*_ANSWER, *_CERTAIN), _CERTAIN_STEP)
+    names, offsets, _, formats = zip(*answer, strict=True)
+    layout: Any = {"names": names, "offsets": offsets, "formats": formats, "itemsize": step}
     rows: Any = np.zeros(count, np.dtype(layout))
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinity
         for k, name in enumerate("xyz"):
             rows[name] = points[:, k]
-    rows["lights"], rows["known"] = bits, known
+    for name, column in columns.items():
+        rows[name] = column
+    rows["known"] = known
     make = _point_field(msg)
     return type(msg)(
         header=msg.header,
         height=height,
         width=width,
-        fields=[make(name=name, offset=offset, datatype=kind, count=1) for name, offset, kind, _ in _ANSWER],
+        fields=[make(name=name, offset=offset, datatype=kind, count=1) for name, offset, kind, _ in answer],
         is_bigendian=False,
-        point_step=_ANSWER_STEP,
-        row_step=_ANSWER_STEP * width if count else 0,
+        point_step=step,
+        row_step=step * width if count else 0,
         data=_bytes_like(msg.data, rows),
         is_dense=bool(np.isfinite(points).all()),
     )
+
+
+def _bit_field(name: str, values: npt.ArrayLike, count: int) -> npt.NDArray[Any]:
+    """Bits of so many points."""
+    bits = np.asarray(values)
+    if bits.shape != (count,):
+        raise ValueError(f"{name}: expected shape {(count,)}, got {bits.shape}")
+    if count and (bits.dtype.kind not in "iu" or int(bits.min()) < 0 or int(bits.max()) >= 2**32):
+        raise ValueError(f"{name}: expected integers from 0 to 2^32 - 1, got dtype {bits.dtype} up to {bits.max()}")
+    return bits
 
 
 def _point_field(msg: Any) -> Any:

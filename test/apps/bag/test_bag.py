@@ -379,6 +379,22 @@ def test_queries_overlay_and_copies(tmp_path: Path) -> None:
     assert "/shadow_tracer/overlay" not in again
 
 
+def test_queries_about_cones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same bits as those of the node; a query with a wrong field is refused by its name."""
+    made, points = still_life(), np.array([(0.5, 0.5, 2.0), (-0.5, 0.5, 2.0), (-0.5, 0.5, 0.1)])
+    narrow, wrong = (
+        cloud(np.insert(points, 3, radius, axis=1), SECOND, "camera", ["radius"]) for radius in (1e-3, -1.0)
+    )
+    made.add("/query", narrow)
+    made.add("/query", wrong)
+    found = run(made.write(tmp_path / "in"), tmp_path / "out.mcap")
+    (reply,) = found["/shadow_tracer/query/visibility"]
+    rows = np.frombuffer(reply.data.tobytes(), "<u4").reshape(3, 7)
+    assert rows[:, 3:].tolist() == [[1, 1, 1, 0], [0, 1, 0, 1], [1, 1, 1, 0]]
+    text = "query: 1 messages were refused, the last one because of data: expected radius from 0"
+    assert text in capsys.readouterr().err
+
+
 def test_the_part_of_a_light_that_is_seen(tmp_path: Path) -> None:
     """The library's numbers, NaN where nothing is known; the mesh casts nothing in a light that ignores it."""
     lights = parameters(

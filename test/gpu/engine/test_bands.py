@@ -166,7 +166,7 @@ def test_a_first_frame_loads_the_sorting_kernel_whatever_it_holds(count: int, mo
 
 @pytest.mark.wide
 def test_a_stage_that_one_share_does_for_all_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of bands side by side the slowest is told, and what only others did."""
+    """Of bands side by side those of the slowest, and of what only others did."""
     tracer = _with_a_ball(_tracer("brute_force"))
     _states(tracer, _depth())
     first, second = (one.stages for one in probe.bands(tracer))
@@ -182,10 +182,10 @@ def test_a_stage_that_one_share_does_for_all_is_not_lost(monkeypatch: pytest.Mon
     assert list(stages)[0] == "upload" and list(stages)[-1] == "download"
 
 
-@probe.in_cuda_form  # the other makes no records of triangles that concern nobody
+@probe.in_cuda_form  # the other makes no records of triangles that concern no ray
 def test_counters_are_those_of_the_last_light_even_after_further_passes() -> None:
-    """One place for records: the further pass of the first light makes its records anew there. The last light reaches
-    nobody, and so needs none."""
+    """One place for records: the further pass of the first light makes its records there again. The last light reaches
+    no sample, and so needs none."""
     vertices, triangles = geometry.icosphere(1, 0.7, (0.0, 0.0, 2.0))
     counters = []
     for entries in (8192, 1):

@@ -61,7 +61,7 @@ def _fail_once(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, after: in
 @pytest.mark.parametrize("names", _PIPELINES)
 @pytest.mark.parametrize("where", ["project", "aim", "trace"])
 def test_a_frame_after_one_that_failed_is_right(names: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Records were announced for new lights and not made: nobody may take those of the old lights for them."""
+    """Records were announced for new lights and not made: none may be taken for those of the old lights."""
     tracer, other = _tracer(names), _tracer(names)
     _states(tracer)
     with monkeypatch.context() as patch:

@@ -9,15 +9,26 @@ import threading
 from dataclasses import replace
 from typing import Any
 
+import geometry
 import numpy as np
 import probe
 import probe_accelerators
 import pytest
 import views
 
-from shadow_tracer import Bias, Bounds, PointLight, ShadowTracer, SphereLight, SpotLight
+from shadow_tracer import (
+    Bias,
+    Bounds,
+    Camera,
+    PointLight,
+    RectangleLight,
+    ShadowTracer,
+    SphereLight,
+    SpotLight,
+    SunDisc,
+)
 from shadow_tracer.gpu.device.workers import MOST, Workers, available_cores
-from shadow_tracer.gpu.engine import band
+from shadow_tracer.gpu.engine import area_lights, band, bands, frame
 from shadow_tracer.gpu.occluders import seen as seen_triangles
 
 _SIZE = 256
@@ -205,6 +216,75 @@ def test_both_shares_really_run_at_once(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(band.Band, "project", met)
     frame = made.trace(seen.depth, seen.camera, list(seen.lights), bias=seen.bias)
     assert np.array_equal(np.stack([frame.state(name) for name in frame.names]), expected)
+
+
+_BUNDLES = [("mesh_bvh", "refit"), ("bvh", "sah"), ("bvh", "threaded")]
+_LAMPS: list[Any] = [
+    PointLight("hard", (0.5, 0.5, 1.0)),
+    SphereLight("more than bits", (0.25, -1.0, 0.5), 0.25, samples=70),
+    RectangleLight("panel", (0.25, -1.0, 3.0), (0.5, 0.0, 0.0), (0.0, 0.0, 1.0), samples=33, ignore=["ball"]),
+    SunDisc("sun", (0.25, 1.0, 0.5), samples=9),
+]
+
+
+def _small(names: tuple[str, str], threads: int, monkeypatch: pytest.MonkeyPatch) -> ShadowTracer:
+    """Bands of a few samples."""
+    for module in (bands, frame):
+        monkeypatch.setattr(module, "LEAST", 64)
+    made = tracer(names, threads, Bounds(max_triangles=2000, max_rays=1600, max_lights=4))
+    made.scene.put("ball", *geometry.icosphere(1, 0.6, (0.0, 0.0, 2.0)))
+    made.scene.put("soup", *geometry.soup(np.random.default_rng(2), 200, 0.4, 2.5))
+    return made
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("names", _BUNDLES, ids="/".join)
+def test_masks_by_any_number_of_threads(names: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images of several sizes and points, one band or all; bundles as the pilot says, or rays; a scene that moves, that
+    is empty, and that is there again."""
+    monkeypatch.setattr(area_lights, "PILOT", 8)
+    made = [_small(names, threads, monkeypatch) for threads in (2, 3, 8)]
+    alone = _small(("light_grid", "packed"), 1, monkeypatch)
+    assert [len(probe.bands(each)) for each in made] == [2, 3, 8]
+    rng = np.random.default_rng(12)
+    for step, rows in enumerate((30, 30, 40, 3, 36, 30)):
+        monkeypatch.setattr(area_lights, "MOST_SHOWN", (1e9, 1e9, 0.0)[step % 3])
+        camera, bias = Camera(40, rows, 35.0, 36.0, 19.25, 14.75), Bias(0.01 * (step % 2))
+        depth, points = rng.uniform(2.0, 4.5, (rows, 40)).astype(np.float32), rng.uniform(-2, 4, (1 + 150 * step, 3))
+        depth[: rows // 3] = np.nan
+        lamps, moved = _LAMPS[step % 2 :], geometry.icosphere(1, 0.6, (0.1 * step, 0.0, 2.0))
+        found = []
+        for each in (alone, *made):
+            if step == 3:
+                each.scene.clear()
+            else:
+                each.scene.put("ball", *moved)
+            seen = each.trace(depth, camera, lamps, bias)
+            found.append([seen.visibility(lamp.name) for lamp in lamps] + [each.visibility(points, lamps, 0.01)])
+        for others in found[1:]:
+            for mine, other in zip(found[0], others, strict=True):
+                np.testing.assert_array_equal(mine, other, err_msg=f"{step}")
+
+
+@pytest.mark.wide
+def test_masks_of_both_bands_are_asked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each waits for the other; not in the first frame, in which kernels are loaded."""
+    made, depth = _small(("mesh_bvh", "refit"), 2, monkeypatch), np.full((30, 40), 3.5, np.float32)
+    camera, lamp = Camera(40, 30, 35.0, 36.0, 19.25, 14.75), _LAMPS[2]
+    threads: list[str] = []
+    meeting = threading.Barrier(2, timeout=20.0)
+    see = band.Band.see
+
+    def met(*arguments: Any) -> Any:
+        threads.append(threading.current_thread().name)
+        if len(threads) > 2:
+            meeting.wait()
+        return see(*arguments)
+
+    monkeypatch.setattr(band.Band, "see", met)
+    first, second = (made.trace(depth, camera, [lamp]).light_bits(lamp.name) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert len(set(threads[:2])) == 1 and len(threads) == 4 and len(set(threads[2:])) == 2
 
 
 def test_memory_is_shared_not_doubled() -> None:

@@ -22,9 +22,9 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         "recorded and grid",
         [("engine/area_lights.py", "            band.follow()", "            pass")],
     ),
-    "nobody comes back": (
+    "none comes back": (
         "not_see and (brute or linear or packed)",
-        [("occluders/world.py", "elif any(begin", "elif not any(begin")],
+        [("occluders/world.py", "not in gone and any(begin", "not in gone and not any(begin")],
     ),
     "left out for one batch with another": (
         "not_see and (brute or linear or packed)",

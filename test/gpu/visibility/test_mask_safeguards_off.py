@@ -23,12 +23,12 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         "same_points",
         [
             ("accelerators/segment.h", "beside[k] = WIDER *", "beside[k] = 0.0 *"),
-            ("accelerators/segment.h", "return WIDER *", "return 0.0 *"),
+            ("accelerators/bvh/bundle_sides.h", "faster = WIDER *", "faster = 0.0 *"),
         ],
     ),
     "boxes met by the middle ray alone": (
         "same_points",
-        [("accelerators/segment.h", "return WIDER *", "return 0.0 *")],
+        [("accelerators/bvh/bundle_sides.h", "faster = WIDER *", "faster = 0.0 *")],
     ),
     "the scene's box met by the middle ray alone": (
         "same_points",
@@ -36,7 +36,7 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     ),
     "a pyramid for a sample within the light": (
         "in_the_middle",
-        [("accelerators/segment.h", "const bool cone = faster < STEEPEST;", "const bool cone = true;")],
+        [("accelerators/bvh/bundle_sides.h", "const bool cone = faster < STEEPEST;", "const bool cone = true;")],
     ),
     "all points where the middle is": (
         "same_points",

@@ -20,7 +20,7 @@ import pytest
 from cloud_double import FLOAT32, FLOAT64, Cloud, changed, cloud, field, some_points
 
 from shadow_tracer import Scene
-from shadow_tracer.ros.wire.clouds import cloud_normals, cloud_points, soup_part, visibility_cloud
+from shadow_tracer.ros.wire.clouds import cloud_cones, cloud_normals, cloud_points, soup_part, visibility_cloud
 from shadow_tracer.ros.wire.parts import Changes, Part, PartError, soup_triangles
 from shadow_tracer.ros.world.mesh_store import MeshStore
 
@@ -371,6 +371,44 @@ def test_an_answer_has_the_points_and_what_reaches_them() -> None:
     np.testing.assert_array_equal(rows["lights"].ravel(), bits)
     np.testing.assert_array_equal(rows["known"].ravel(), known.astype(np.uint8))
     assert bytes(query.data) == before
+
+
+def test_an_answer_about_cones_has_two_more_fields() -> None:
+    points, numbers = some_points(3), np.array([0, 5, 2**32 - 1], np.uint32)
+    query = cloud(points)
+    answer = visibility_cloud(query, points, numbers, np.array([1, 0, 1], bool), (numbers[::-1], numbers + 1))
+    assert [(item.name, item.offset) for item in answer.fields][3:] == [
+        ("lights", 12),
+        ("known", 16),
+        ("free", 20),
+        ("blocked", 24),
+    ]
+    assert (answer.point_step, answer.row_step, len(answer.data)) == (28, 84, 84)
+    rows = np.frombuffer(bytes(answer.data), "<u4").reshape(3, 7)
+    np.testing.assert_array_equal(rows[:, 3:], np.stack([numbers, [1, 0, 1], numbers[::-1], numbers + 1], axis=1))
+    for wrong in ((numbers, numbers[:2]), (np.array([-1, 0, 0]), numbers)):
+        with pytest.raises(ValueError, match="^certain: expected"):
+            visibility_cloud(query, points, numbers, np.ones(3, bool), wrong)
+
+
+@ENDIAN
+@pytest.mark.parametrize("datatype", [FLOAT32, FLOAT64])
+def test_how_wide_cones_are(datatype: int, big: bool) -> None:
+    """In the field of either name, of either type, at any place; or there is none."""
+    most = {"radius": 10.0, "half_angle": 1.5}
+    message = cloud(np.abs(some_points(6)).reshape(2, 3, 3), datatype, big, padding=5)
+    assert cloud_cones(message, most) is None
+    wide = cloud_points(message)[:, 1]
+    for name in most:
+        message.fields[1].name = name
+        with pytest.raises(PartError, match=f"^data: expected {name} from 0 to"):
+            cloud_cones(message, dict.fromkeys(most, float(np.sort(wide)[-2])))
+        found = cloud_cones(message, dict.fromkeys(most, 1e50))
+        assert found is not None and found[0] == name
+        np.testing.assert_array_equal(found[1], wide)
+    message.fields[0].name = "radius"
+    with pytest.raises(PartError, match="^fields: expected radius or half_angle, got both"):
+        cloud_cones(message, most)
 
 
 def test_an_answer_has_the_container_that_the_query_has() -> None:

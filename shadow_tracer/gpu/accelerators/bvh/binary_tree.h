@@ -7,6 +7,7 @@ struct Walk1 {
     const wp::BVH tree;
     const SceneBox& box;
     Segment& segment;
+    const BundleSides sides;
     const wp::vec3 inverse;
 
     // Entry distance of a node's box, or one that is not `met`.
@@ -14,7 +15,7 @@ struct Walk1 {
         const float *low = (const float*)(tree.node_lowers + node), *high = (const float*)(tree.node_uppers + node);
         if (Query1::SPREADS) {
             Bundle1 bundle;
-            bundle.enter(low, high, segment);
+            bundle.enter(low, high, sides, segment.longest);
             return bundle.met ? bundle.in : 3.0e38f;
         }
         Slabs1 slabs;
@@ -66,7 +67,9 @@ struct Walk1 {
             return;
         const wp::vec3 inverse(1.0f / segment.direction[0], 1.0f / segment.direction[1], 1.0f / segment.direction[2]);
         if (place == Segment::TOO_FAR
-            || !Walk1{ wp::bvh_get(structure.bvh), structure.box, segment, inverse }.descend(query))
+            || !Walk1{ wp::bvh_get(structure.bvh), structure.box, segment, BundleSides(query, segment, structure.box),
+                       inverse }
+                    .descend(query))
             query.everything();
         Hints::leave(structure, query);
     }

@@ -1,4 +1,4 @@
-// needs: device/lanes.h accelerators/segment.h
+// needs: device/lanes.h accelerators/bvh/bundle_sides.h
 // lanes
 // LANES boxes against a bundle of rays that spreads from a sample to the points of a light: where it enters each. Six
 // inequalities, of which each says from where on, or up to where, the bundle is on the box's side of a face; segment.py
@@ -9,17 +9,17 @@ struct WIDE(Bundle) {
 
     static inline REAL smaller(REAL x, REAL y) { return x < y ? x : y; }
     static inline REAL larger(REAL x, REAL y) { return x > y ? x : y; }
-    inline void enter(const REAL* low, const REAL* high, const Segment& segment) {
-        REAL first = 0.0f, last = segment.longest;
+    inline void enter(const REAL* low, const REAL* high, const BundleSides& sides, float longest) {
+        REAL first = 0.0f, last = longest;
         for (int k = 0; k < 3; ++k) {
             // Where the upper side of the bundle reaches the low face, and its lower side the high face.
-            const REAL one = (low[k] - segment.upper[k]) * segment.upper_inverse[k];
-            const REAL two = (high[k] - segment.lower[k]) * segment.lower_inverse[k];
-            if (segment.upper_inverse[k] > 0.0f)
+            const REAL one = (low[k] - sides.upper[k]) * sides.upper_inverse[k];
+            const REAL two = (high[k] - sides.lower[k]) * sides.lower_inverse[k];
+            if (sides.upper_inverse[k] > 0.0f)
                 first = larger(first, one);
             else
                 last = smaller(last, one);
-            if (segment.lower_inverse[k] > 0.0f)
+            if (sides.lower_inverse[k] > 0.0f)
                 last = smaller(last, two);
             else
                 first = larger(first, two);

@@ -14,7 +14,7 @@ Why no triangle is missed. E is the scene's extent, its unit here, u = 2^-24; se
 
 *Boxes.* A node's box holds the boxes of all its triangles, which are padded by 32 u and rounded outwards. A walk loses
 5 u to the ray's start and direction, and 6 u to the roundings of a slab. Boxes of triangles that are no numbers, and
-of those behind the scene's last, hold nothing and make no other larger: nobody need be shown them.
+of those behind the scene's last, hold nothing and make no other larger: no ray need be shown them.
 
 *Bundles.* Rays are cut to the scene's box, and a bundle is the middle of all their beginnings and ends, and R, the most
 that one of either is from its middle. The point of a ray at a share of its way is within R of that of the middle one at

@@ -76,9 +76,7 @@ struct ConeHits {
         const wp::vec3d& from = asked.apices.data[number];
         const wp::vec4d& end = asked.ends.data[number];
         const double slope = asked.slopes.data[number];
-        const Triple to(wp::vec3d(end[0], end[1], end[2]));
-        const Triple way = end[3] == 0.0 ? to : to - Triple(from);
-        const Cone cone(from, way, slope, end[3] == 0.0 ? ConeWalk::reach(scene, from) : way.length().number);
+        const Cone cone = ConeWalk::cone(scene, from, end, slope);
         ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope), false);
         walk.after = asked.after.data[number];
         const size_t at = asked.most * (size_t)number;

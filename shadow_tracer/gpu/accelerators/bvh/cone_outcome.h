@@ -82,8 +82,7 @@ struct ConeOutcome {
         const wp::vec3d& from = asked.apices.data[number];
         const wp::vec4d& end = asked.ends.data[number];
         const double slope = asked.slopes.data[number];
-        const Triple way = Triple(wp::vec3d(end[0], end[1], end[2])) - Triple(from);
-        const Cone cone(from, way, slope, way.length().number);
+        const Cone cone = ConeWalk::cone(scene, from, end, slope);
         ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope), true);
         walk.budget = asked.budget;
         ConeOutcome outcome = { scene, cone, wp::vec4d(from[0], from[1], from[2], 0.0), end, false, false, false };

@@ -82,6 +82,12 @@ struct ConeWalk {
         double out;
         return meets(scene.tree.corners.data + CORNERS * (size_t)node, in, out) && Arithmetic::mul(out, unit) >= after;
     }
+    // A cone to its end, or without one to where nothing of the scene is any more.
+    static inline Cone cone(const ConeScene& scene, const wp::vec3d& from, const wp::vec4d& end, double slope) {
+        const Triple to(wp::vec3d(end[0], end[1], end[2]));
+        const Triple way = end[3] == 0.0 ? to : to - Triple(from);
+        return Cone(from, way, slope, end[3] == 0.0 ? reach(scene, from) : way.length().number);
+    }
     // A length [m] beyond which nothing of the scene is.
     static inline double reach(const ConeScene& scene, const wp::vec3d& from) {
         double sum = 0.0;

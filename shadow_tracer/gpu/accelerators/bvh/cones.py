@@ -33,6 +33,7 @@ Outcomes are in ``cone_outcome.h``, docs/exactness.md proves them.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -41,9 +42,10 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.bvh.bvh import Bvh
 from shadow_tracer.gpu.accelerators.bvh.tree import Tree
-from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.device.transfers import Uploads
+from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.occluders.neighbours import Neighbours
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.scene.checks import FloatArray
@@ -51,6 +53,8 @@ from shadow_tracer.scene.checks import FloatArray
 FREE, PARTLY, BLOCKED = 0, 1, 2
 # Cones asked about at once, and places of their lists.
 PIECE, PLACES = 1 << 16, 1 << 19
+# Cones that a thread takes at a time.
+SOME = 512
 NO_BUDGET = 2**31 - 1
 native.constants(CONE_FREE=FREE, CONE_PARTLY=PARTLY, CONE_BLOCKED=BLOCKED)
 native.constants(CONE_FAR_AWAY=2.0**20, CONE_ADDED=1e-6, CONE_BAND=1e-13, CONE_ROUGH=2.0**-17)
@@ -93,15 +97,15 @@ def hits_of(number: int, scene: ConeScene, asked: ConesAsked): ...
 
 
 @wp.kernel(enable_backward=False)
-def find_outcomes(scene: ConeScene, asked: ConesAsked):
+def find_outcomes(first: int, scene: ConeScene, asked: ConesAsked):
     """A cone a thread."""
-    outcome_of(wp.tid(), scene, asked)
+    outcome_of(first + wp.tid(), scene, asked)
 
 
 @wp.kernel(enable_backward=False)
-def find_hits(scene: ConeScene, asked: ConesAsked):
+def find_hits(first: int, scene: ConeScene, asked: ConesAsked):
     """A cone a thread."""
-    hits_of(wp.tid(), scene, asked)
+    hits_of(first + wp.tid(), scene, asked)
 
 
 class Cones:
@@ -109,10 +113,12 @@ class Cones:
 
     Args:
         scene: the world, whose ``bounds`` say how much there may be.
+        threads: how many cores of the CPU they may keep busy.
     """
 
-    def __init__(self, scene: SceneBuffers) -> None:
+    def __init__(self, scene: SceneBuffers, threads: int) -> None:
         self._scene, device = scene, scene.device
+        self._workers = Workers(threads if forms.wide(device) else 1)
         self._build: Bvh = scene.made.take((Bvh, "sah"), lambda: Bvh("sah", scene))
         self._neighbours = Neighbours(scene)
         self._stages, self._upload = Stages(device), Uploads(device)
@@ -139,7 +145,8 @@ class Cones:
     def outcomes(
         self, apices: FloatArray, ends: FloatArray, slopes: FloatArray, budget: int | None
     ) -> npt.NDArray[np.uint8]:
-        """(N,) FREE, PARTLY or BLOCKED for cones with apices (N, 3), ends (N, 3) and tangents of half angles (N,)."""
+        """(N,) FREE, PARTLY or BLOCKED for cones with apices (N, 3), ends (N, 4), as ``ConesAsked`` has them, and
+        tangents of half angles (N,)."""
         found = np.full(len(apices), FREE, np.uint8)
         if not self._scene.triangle_count:
             return found
@@ -147,8 +154,8 @@ class Cones:
         asked.budget = NO_BUDGET if budget is None else min(budget, NO_BUDGET)
         for first in range(0, len(apices), PIECE):
             piece = slice(first, min(first + PIECE, len(apices)))
-            count = self._put(apices[piece], np.insert(ends[piece], 3, 1.0, axis=1), slopes[piece])
-            wp.launch(find_outcomes, dim=count, inputs=[scene, asked], device=self._scene.device)
+            count = self._put(apices[piece], ends[piece], slopes[piece])
+            self._send(find_outcomes, count, scene)
             found[piece] = asked.outcomes[:count].numpy()
         self._judge()
         return found
@@ -163,7 +170,7 @@ class Cones:
     ) -> tuple[npt.NDArray[np.int32], FloatArray]:
         """(N, most) numbers of triangles, -1 where there are no more, and their distances [m], infinite there.
 
-        ``ends``: (N, 4), as ``ConesAsked`` has them; ``after``: distance and number of each cone's last that is not
+        ``ends``: as above; ``after``: distance and number of each cone's last that is not
         asked for.
         """
         numbers = np.full((len(apices), most), -1, np.int32)
@@ -178,7 +185,7 @@ class Cones:
             last = (np.full(count, -1.0), np.full(count, -1)) if after is None else (after[0][piece], after[1][piece])
             self._upload(asked.after, np.ascontiguousarray(last[0], np.float64))
             self._upload(asked.after_numbers, np.ascontiguousarray(last[1], np.int32))
-            wp.launch(find_hits, dim=count, inputs=[scene, asked], device=self._scene.device)
+            self._send(find_hits, count, scene)
             numbers[piece] = asked.numbers[: count * most].numpy().reshape(count, most)
             distances[piece] = asked.distances[: count * most].numpy().reshape(count, most)
         self._judge()
@@ -189,6 +196,26 @@ class Cones:
         self._upload(self._asked.ends, np.ascontiguousarray(ends))
         self._upload(self._asked.slopes, np.ascontiguousarray(slopes))
         return len(apices)
+
+    def _send(self, kernel: Any, count: int, scene: ConeScene) -> None:
+        """``count`` cones through the scene, some at a time: whoever is done takes the next."""
+        device, asked = self._scene.device, self._asked
+        threads = min(self._workers.count, -(-count // SOME))
+        if threads < 2:
+            wp.launch(kernel, dim=count, inputs=[0, scene, asked], device=device)
+            return
+        wp.load_module(kernel.module, device, max_workers=0)  # several threads must not be the first to launch it
+        left = deque(range(0, count, SOME))
+
+        def job() -> None:
+            while left:
+                try:
+                    first = left.popleft()
+                except IndexError:  # another thread has taken the last
+                    return
+                wp.launch(kernel, dim=min(SOME, count - first), inputs=[first, scene, asked], device=device)
+
+        self._workers.run([job] * threads)
 
     def _judge(self) -> None:
         """Let the tree know how bad it is, as frames do: it may only ever be asked about cones."""

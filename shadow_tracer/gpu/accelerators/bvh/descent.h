@@ -38,6 +38,9 @@ struct WIDE(Descent) {
         float waiting[DEPTH]; // where the ray enters
         int links[DEPTH];
         int top = 1;
+#if LANES == 1
+        const BundleSides sides(query, *segment, tree.box);
+#endif
         links[0] = 0;
         waiting[0] = 0.0f;
         while (top) {
@@ -63,7 +66,7 @@ struct WIDE(Descent) {
 #if LANES == 1
             if (Query1::SPREADS) {
                 Bundle16 bundle;
-                bundle.enter(bounds, bounds + 3, *segment);
+                bundle.enter(bounds, bounds + 3, sides, longest);
                 Lanes16::store(in, bundle.in);
                 met = bundle.met;
             } else

@@ -1,6 +1,6 @@
 // constants: TREE_LANES CORNERS BLOCK_ROWS BOX_PADDING BOX_OUTSIDE COUNT_OF_NODES COUNT_OF_BLOCKS COUNT_OF_WIDE_NODES
 // arguments: Tree tree, SceneBox tree.box
-// Boxes of blocks and nodes, and the rows of blocks; see refit.py.
+// Boxes of blocks and nodes, and the rows of blocks; see build.py.
 struct Refit {
     const Tree& tree;
 

@@ -7,10 +7,11 @@ struct Walk1 {
     enum { DEPTH = 256, BOUNDS = 6 * TREE_WIDTH, LINKS = 2 * TREE_WIDTH, INNER = 0, NONE = -1 };
 
     // The children that are met, as bits, and where.
-    static inline int enter(const Real8* bound, const Segment& segment, const wp::vec3& inverse, float* in) {
+    static inline int enter(const Real8* bound, const Segment& segment, const BundleSides& sides,
+                            const wp::vec3& inverse, float* in) {
         if (Query1::SPREADS) {
             Bundle8 bundle;
-            bundle.enter(bound, bound + 3, segment);
+            bundle.enter(bound, bound + 3, sides, segment.longest);
             Lanes8::store(in, bundle.in);
             return bundle.met;
         }
@@ -22,6 +23,7 @@ struct Walk1 {
     // False if the stack does not hold the tree.
     static inline bool descend(const Structure& structure, Segment& segment, Query1& query) {
         const wp::vec3 inverse(1.0f / segment.direction[0], 1.0f / segment.direction[1], 1.0f / segment.direction[2]);
+        const BundleSides sides(query, segment, structure.box);
         const int* primitives = wp::bvh_get(structure.bvh).primitive_indices;
         int stack[DEPTH];
         int top = 0, node = 0;
@@ -32,7 +34,7 @@ struct Walk1 {
             const int* link = structure.links.data + LINKS * (size_t)node;
             const int* count = link + TREE_WIDTH;
             float in[TREE_WIDTH];
-            const int met = enter(bound, segment, inverse, in);
+            const int met = enter(bound, segment, sides, inverse, in);
             int next = -1;
             float nearest = 3.0e38f;
             for (int k = 0; k < TREE_WIDTH; ++k) {

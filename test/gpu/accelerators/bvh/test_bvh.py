@@ -13,6 +13,7 @@ import pytest
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
 from shadow_tracer.gpu.accelerators.bvh.tree import FEWEST, LANES, LEVELS, NONE, most_blocks
 from shadow_tracer.gpu.accelerators.segment import OUTSIDE, PADDING
+from shadow_tracer.gpu.engine import bands, frame
 
 pytestmark = probe.in_both_forms
 
@@ -333,11 +334,14 @@ def test_a_ray_tests_few_triangles(any_device: str) -> None:
     assert counters["nodes_visited"] > 2000
 
 
-def test_shares_of_the_rays_have_one_tree(any_device: str) -> None:
+def test_bands_of_the_rays_have_one_tree(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if not probe.wide(any_device):
-        pytest.skip("one share")
+        pytest.skip("one band")
+    for module in (bands, frame):
+        monkeypatch.setattr(module, "LEAST", 64)
     rng = np.random.default_rng(16)
     mesh, points = geometry.soup(rng, 300, 0.3, 1.5), rng.uniform(-2, 2, (5000, 3))
     tracer = _tracer(any_device, threads=2)
-    assert np.array_equal(_hidden(tracer, mesh, points), _expected(any_device, mesh, points))
-    assert probe.builds(tracer) == 1
+    for _ in range(2):  # the second time side by side
+        assert np.array_equal(_hidden(tracer, mesh, points), _expected(any_device, mesh, points))
+    assert len(probe.bands(tracer)) == 2 and probe.builds(tracer) == 1
