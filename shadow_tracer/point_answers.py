@@ -119,11 +119,7 @@ class PointAnswers:
         """
         shape, flat, valid, checked = self._ask(points, lights)
         check_bits(checked)
-        bits = np.empty((len(checked), len(flat)), dtype=np.uint64)
-        for piece, traced in self._pieces(flat, valid, checked, bias, samples):
-            for number, (light, states) in enumerate(zip(checked, traced.states, strict=True)):
-                bits[number, piece] = bits_of(light.name, states, traced.reaching.get(number))
-        return bits.reshape(len(checked), *shape)
+        return self._bits(flat, valid, checked, bias, samples).reshape(len(checked), *shape)
 
     def irradiance(
         self, points: Any, normals: Any, lights: Iterable[Light], bias: float = 0.0, samples: str = ""
@@ -151,7 +147,7 @@ class PointAnswers:
         shape, flat, valid, checked = self._ask(points, lights)
         check_strengths(checked)
         facing = unit_normals(normals, shape)
-        bits = self.light_bits(points, checked, bias, samples).reshape(len(checked), -1)
+        bits = self._bits(flat, valid, checked, bias, samples)
         found = np.stack(
             [irradiance_of(light, flat, facing, reach) for light, reach in zip(checked, bits, strict=True)]
         )
@@ -169,6 +165,16 @@ class PointAnswers:
         if valid is not None:
             flat = np.where(valid[:, None], flat, 0.0)
         return positions.shape[:-1], flat, valid, checked
+
+    def _bits(
+        self, flat: FloatArray, valid: npt.NDArray[np.bool_] | None, lights: Lights, bias: float, samples: str
+    ) -> npt.NDArray[np.uint64]:
+        """(L, N) which points of each light reach each position."""
+        bits = np.empty((len(lights), len(flat)), dtype=np.uint64)
+        for piece, traced in self._pieces(flat, valid, lights, bias, samples):
+            for number, (light, states) in enumerate(zip(lights, traced.states, strict=True)):
+                bits[number, piece] = bits_of(light.name, states, traced.reaching.get(number))
+        return bits
 
     def _pieces(
         self, flat: FloatArray, valid: npt.NDArray[np.bool_] | None, lights: Lights, bias: float, samples: str

@@ -32,7 +32,7 @@ _CHECKSUM = 0x07305A71
 
 _WIDTH, _HEIGHT = 64, 48
 _FINE = 4  # the finer image has so many times the pixels each way
-# max_rays has room for eight shares, and each share too little room for the finer image alone.
+# max_rays has room for eight bands, and each band too little room for the finer image alone.
 _BOUNDS = Bounds(max_triangles=1024, max_rays=131072, max_lights=4, queue_capacity=4096, grid_entries=16384)
 BIAS = 0.001  # [m]
 LIGHTS = (

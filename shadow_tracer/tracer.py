@@ -46,8 +46,9 @@ class ShadowTracer(PointAnswers, ConeAnswers):
             (``cone_hierarchy/linear`` and ``light_grid`` do); :attr:`Frame.stages` then has one stage ``graph`` for
             all of them. None is yes on CUDA and no on the CPU, where recording is an experiment of Warp's. Where a
             device cannot record (it has no memory pools), or a recording fails, kernels are launched one by one.
-        threads: how many cores of the CPU a frame may keep busy, where the pipeline allows it (``light_grid``,
-            ``cone_hierarchy/linear`` and ``brute_force`` do); None is all that this process may use, at most 8.
+        threads: how many cores of the CPU a frame may keep busy, where the pipeline allows it (``light_buffer``,
+            ``ray_classification``, ``light_grid/spherical`` and the variants of the paper in ``cone_hierarchy`` use
+            one); None is all that this process may use, at most 8.
 
     Raises:
         ValueError: an unknown name, the message lists the known ones; or ``front_face_culling`` is not a bool.
@@ -109,7 +110,7 @@ class ShadowTracer(PointAnswers, ConeAnswers):
     @property
     def threads(self) -> int:
         """Cores that a frame may keep busy: 1 on CUDA, with recorded frames, and where bounds are too small to be cut
-        into shares."""
+        into bands."""
         return self._engine.threads
 
     @property

@@ -52,7 +52,7 @@ class Step:
         changes: of the scene, before it.
         depth: (H, W) image with ``camera``, or None.
         points: (N, 3), or None.
-        states: (L, N) what the lights do.
+        states: (L, N) int64 what the lights do; of an image plus 8 times the bits of their points that reach.
     """
 
     changes: tuple[Change, ...]
@@ -65,12 +65,15 @@ class Step:
     states: np.ndarray = field(repr=False)
 
     def trace(self, tracer: ShadowTracer) -> np.ndarray:
-        """(L, N) states by ``tracer``, whose scene has been changed already."""
+        """(L, N) as ``states`` by ``tracer``, whose scene has been changed already."""
         tracer.front_face_culling = self.culling
         if self.points is not None:
-            return tracer.states_at(self.points, self.lights, self.bias.constant)
+            return tracer.states_at(self.points, self.lights, self.bias.constant).astype(np.int64)
         frame = tracer.trace(self.depth, self.camera, self.lights, self.bias)
-        return np.stack([frame.state(light.name).reshape(-1) for light in self.lights])
+        names = [light.name for light in self.lights]
+        return np.stack(
+            [8 * frame.light_bits(name).astype(np.int64).ravel() + frame.state(name).ravel() for name in names]
+        )
 
     def counters(self, tracer: Any) -> dict[str, int]:
         """What it takes ``tracer`` to trace, whose scene has been changed already."""

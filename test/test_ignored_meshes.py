@@ -4,6 +4,7 @@ those of a scene without them."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import geometry
@@ -89,7 +90,8 @@ def test_a_light_does_not_see_what_it_ignores(tracer: Any) -> None:
 @probe.in_forms(
     "names",
     ["light_grid/packed", "light_grid/spherical", "cone_hierarchy/linear", "cone_hierarchy/precise", "mesh_bvh/refit"]
-    + ["bvh/sah", "uniform_grid/dda", "hierarchical_grid/nested", "brute_force/float64", "auto/measured"],
+    + ["bvh/sah", "height_field/pyramid", "light_buffer/cube", "ray_classification/lazy", "kd_tree/sah"]
+    + ["uniform_grid/dda", "hierarchical_grid/nested", "brute_force/float64", "auto/measured"],
     ["light_grid/packed", "cone_hierarchy/linear", "brute_force/filtered"],
 )
 @pytest.mark.slow
@@ -122,7 +124,7 @@ def test_sequences_in_which_everything_changes(any_device: str, names: str, cull
         for place in rng.choice(len(_LIGHTS), number, replace=False):
             ignore = rng.choice(list(_MESHES), int(rng.choice([0, 1, 2]))).tolist()
             light = _LIGHTS[place]
-            lights.append(type(light)(**{**vars(light), "ignore": ignore}))
+            lights.append(replace(light, ignore=ignore))
         frame = tracer.trace(depth, _CAMERA, lights, Bias(0.01))
         for light in lights:
             _put(oracle, meshes, light.ignore)

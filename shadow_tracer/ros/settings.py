@@ -23,9 +23,9 @@ from shadow_tracer import (
     SunDisc,
     TubeLight,
 )
+from shadow_tracer.scene.lights import Light
 
 FloatArray = npt.NDArray[np.float64]
-Light = PointLight | SpotLight | DirectionalLight | SphereLight | DiscLight | RectangleLight | TubeLight | SunDisc
 
 LIGHT_TYPES = ("point", "spot", "directional", "sun", "sphere", "disc", "rectangle", "tube")
 

@@ -14,43 +14,47 @@ point of the light reaches it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from shadow_tracer.scene import patterns
-from shadow_tracer.scene.checks import LARGEST, FloatArray, direction3, name_of, real, vector3
+from shadow_tracer.scene.checks import LARGEST, FloatArray, direction3, real, vector3
 from shadow_tracer.scene.hard_lights import (
     DirectionalLight,
     HardLight,
+    NamedLight,
     PointLight,
     SpotLight,
     Vector,
     freeze,
-    names_of,
     range_of,
 )
-from shadow_tracer.scene.strength import ISOTROPIC, LAMBERT, Strength, check_strength
+from shadow_tracer.scene.strength import ISOTROPIC, LAMBERT
 
 MOST_BITS = 64
 """Points of a light that are told apart, as the bits of a 64-bit number."""
 
 
-class AreaLight:
+class AreaLight(NamedLight):
     """What lights with size have in common.
 
     Attributes:
         samples: number of points.
     """
 
-    name: str
     samples: int
-    ignore: Iterable[str]
-    strength: Strength | None
     _quantities: ClassVar[tuple[str, ...]] = ("power", "intensity", "exitance")
     _models: ClassVar[tuple[str, ...]] = (ISOTROPIC, LAMBERT)
+    _most_samples: ClassVar[int] = MOST_BITS
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count, most = self.samples, self._most_samples
+        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or not 2 <= count <= most:
+            raise ValueError(f"samples: expected an integer from 2 to {most}, got {count!r}")
+        object.__setattr__(self, "samples", int(count))
 
     @property
     def homogeneous_points(self) -> FloatArray:
@@ -79,47 +83,73 @@ class AreaLight:
         reach = (self.shines.range + extent) * (1.0 + 1e-9) + 1e-9 * float(np.abs(centre).max())
         return [PointLight(self.name, point[:3], reach) for point in at]
 
-    def _check(self) -> None:
-        """The arguments that all have."""
-        name_of(self.name, "name")
-        object.__setattr__(self, "ignore", names_of(self.ignore))
-        check_strength(self, self._quantities, self._models)
-        count = self.samples
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or not 2 <= count <= self._most():
-            raise ValueError(f"samples: expected an integer from 2 to {self._most()}, got {count!r}")
-        object.__setattr__(self, "samples", int(count))
 
-    def _most(self) -> int:
-        return MOST_BITS
+class _Lamp(AreaLight):
+    """A light with size that is somewhere: it shines as its middle does.
+
+    Attributes:
+        position: (3,) its middle [m].
+        range: how far it reaches from there [m].
+    """
+
+    position: Vector
+    range: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "range", range_of(self.range))
+
+    @property
+    def points(self) -> FloatArray:
+        """(samples, 3) the points [m], the same bits on every machine."""
+        raise NotImplementedError
+
+    @property
+    def homogeneous_points(self) -> FloatArray:
+        """(samples, 4)."""
+        return np.column_stack([self.points, np.ones(self.samples)])
+
+    @property
+    def shines(self) -> HardLight:
+        """Its middle."""
+        return PointLight(self.name, self.position, self.range)
 
 
-def _placed(points: FloatArray) -> FloatArray:
-    return np.column_stack([points, np.ones(len(points))])
+class _Panel(_Lamp):
+    """A flat lamp.
+
+    Attributes:
+        normal: (3,) the way its middle shines.
+        two_sided: whether it shines the other way, too.
+    """
+
+    normal: Vector
+    two_sided: bool
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.two_sided, (bool, np.bool_)):
+            raise ValueError(f"two_sided: expected True or False, got {self.two_sided!r}")
+        object.__setattr__(self, "two_sided", bool(self.two_sided))
+
+    @property
+    def shines(self) -> HardLight:
+        """Its middle, to one side or both."""
+        if self.two_sided:
+            return super().shines
+        return SpotLight(self.name, self.position, self.normal, 0.5 * math.pi, self.range)
 
 
-def _length(light: Any, name: str, least: float = 0.0) -> float:
-    """A length in metres, more than ``least``, or ValueError."""
-    value = real(getattr(light, name))
-    if not least < value <= LARGEST:
-        raise ValueError(f"{name}: expected a positive length in metres, got {getattr(light, name)!r}")
-    return value
-
-
-def _side(light: Any) -> bool:
-    if not isinstance(light.two_sided, (bool, np.bool_)):
-        raise ValueError(f"two_sided: expected True or False, got {light.two_sided!r}")
-    return bool(light.two_sided)
-
-
-def _shines(name: str, position: FloatArray, normal: FloatArray, two_sided: bool, reach: float) -> HardLight:
-    """A point, or one that shines to the side that ``normal`` looks to."""
-    if two_sided:
-        return PointLight(name, position, reach)
-    return SpotLight(name, position, normal, 0.5 * math.pi, reach)
+def _check_radius(light: SphereLight | DiscLight) -> None:
+    """Of a light whose position is checked: positive, and nowhere too far."""
+    radius = real(light.radius)
+    if not 0.0 < radius <= LARGEST or not (np.abs(light.position) + radius <= LARGEST).all():
+        raise ValueError(f"radius: expected a positive length in metres, got {light.radius!r}")
+    object.__setattr__(light, "radius", radius)
 
 
 @dataclass(frozen=True, eq=False)
-class SphereLight(AreaLight):
+class SphereLight(_Lamp):
     """A glowing sphere: ``samples`` points spread evenly over its surface, each of which shines like a
     :class:`PointLight`.
 
@@ -132,43 +162,26 @@ class SphereLight(AreaLight):
         ignore, strength: as for :class:`PointLight`.
     """
 
-    name: str
+    _most_samples: ClassVar[int] = 1024
+
     position: Vector
     radius: float
     range: float = math.inf
     samples: int = 32
-    ignore: Iterable[str] = field(default=(), kw_only=True)
-    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         freeze(self, "position", vector3(self.position, "position"))
-        object.__setattr__(self, "radius", _length(self, "radius"))
-        if not (np.abs(self.position) + self.radius <= LARGEST).all():
-            raise ValueError(f"radius: expected a positive length in metres, got {self.radius!r}")
-        object.__setattr__(self, "range", range_of(self.range))
-        self._check()
-
-    def _most(self) -> int:
-        return 1024
+        _check_radius(self)
 
     @property
     def points(self) -> FloatArray:
         """(samples, 3) the points on the surface [m], the same bits on every machine."""
         return self.position + self.radius * patterns.lattice(self.samples)
 
-    @property
-    def homogeneous_points(self) -> FloatArray:
-        """(samples, 4)."""
-        return _placed(self.points)
-
-    @property
-    def shines(self) -> HardLight:
-        """Its centre."""
-        return PointLight(self.name, self.position, self.range)
-
 
 @dataclass(frozen=True, eq=False)
-class DiscLight(AreaLight):
+class DiscLight(_Panel):
     """A glowing disc: ``samples`` points in it on a spiral of equal areas.
 
     Args:
@@ -182,25 +195,18 @@ class DiscLight(AreaLight):
         ignore, strength: as for :class:`PointLight`.
     """
 
-    name: str
     position: Vector
     normal: Vector
     radius: float
     two_sided: bool = False
     range: float = math.inf
     samples: int = 64
-    ignore: Iterable[str] = field(default=(), kw_only=True)
-    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         freeze(self, "position", vector3(self.position, "position"))
         freeze(self, "normal", direction3(self.normal, "normal"))
-        object.__setattr__(self, "radius", _length(self, "radius"))
-        if not (np.abs(self.position) + self.radius <= LARGEST).all():
-            raise ValueError(f"radius: expected a positive length in metres, got {self.radius!r}")
-        object.__setattr__(self, "two_sided", _side(self))
-        object.__setattr__(self, "range", range_of(self.range))
-        self._check()
+        _check_radius(self)
 
     @property
     def points(self) -> FloatArray:
@@ -209,19 +215,9 @@ class DiscLight(AreaLight):
         a, b = (column[:, None] for column in patterns.spiral(self.samples).T)
         return self.position + a * (self.radius * u) + b * (self.radius * v)
 
-    @property
-    def homogeneous_points(self) -> FloatArray:
-        """(samples, 4)."""
-        return _placed(self.points)
-
-    @property
-    def shines(self) -> HardLight:
-        """Its centre, to one side or both."""
-        return _shines(self.name, self.position, self.normal, self.two_sided, self.range)
-
 
 @dataclass(frozen=True, eq=False)
-class RectangleLight(AreaLight):
+class RectangleLight(_Panel):
     """A glowing rectangle: ``samples`` points in it, a Hammersley set.
 
     Args:
@@ -233,33 +229,28 @@ class RectangleLight(AreaLight):
         range: samples of the scene farther than this from the centre are OUTSIDE [m]; infinity by default.
         samples: number of points, 2 to 64.
         ignore, strength: as for :class:`PointLight`.
+
+    Attributes:
+        normal: (3,) unit vector, the way its middle shines.
     """
 
-    name: str
     position: Vector
     u: Vector
     v: Vector
     two_sided: bool = False
     range: float = math.inf
     samples: int = 64
-    ignore: Iterable[str] = field(default=(), kw_only=True)
-    strength: Strength | None = field(default=None, kw_only=True)
+    normal: Vector = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         freeze(self, "position", vector3(self.position, "position"))
         freeze(self, "u", direction3(self.u, "u"))
         freeze(self, "v", direction3(self.v, "v"))
         if not abs(float(self.u @ self.v)) <= 1e-6 * float(np.linalg.norm(self.u) * np.linalg.norm(self.v)):
             raise ValueError(f"v: expected a vector at right angles to u = {self.u.tolist()}, got {self.v.tolist()}")
-        object.__setattr__(self, "two_sided", _side(self))
-        object.__setattr__(self, "range", range_of(self.range))
-        self._check()
-
-    @property
-    def normal(self) -> FloatArray:
-        """(3,) unit vector, the way its middle shines."""
         (a, b, c), (x, y, z) = (patterns.across(*side.tolist())[0].tolist() for side in (self.u, self.v))
-        return np.array((b * z - c * y, c * x - a * z, a * y - b * x))
+        freeze(self, "normal", np.array((b * z - c * y, c * x - a * z, a * y - b * x)))
 
     @property
     def points(self) -> FloatArray:
@@ -267,19 +258,9 @@ class RectangleLight(AreaLight):
         a, b = (column[:, None] for column in patterns.square(self.samples).T)
         return self.position + a * self.u + b * self.v
 
-    @property
-    def homogeneous_points(self) -> FloatArray:
-        """(samples, 4)."""
-        return _placed(self.points)
-
-    @property
-    def shines(self) -> HardLight:
-        """Its centre, to one side or both."""
-        return _shines(self.name, self.position, self.normal, self.two_sided, self.range)
-
 
 @dataclass(frozen=True, eq=False)
-class TubeLight(AreaLight):
+class TubeLight(_Lamp):
     """A glowing tube, such as a fluorescent or UV-C lamp: ``samples`` points within it, spread so that it is seen from
     every side as a ribbon of even brightness. Its ends are dark.
 
@@ -290,18 +271,20 @@ class TubeLight(AreaLight):
         range: samples of the scene farther than this from the middle are OUTSIDE [m]; infinity by default.
         samples: number of points, 2 to 64.
         ignore, strength: as for :class:`PointLight`.
+
+    Attributes:
+        position: (3,) its middle [m].
     """
 
-    name: str
     start: Vector
     end: Vector
     radius: float = 0.0
     range: float = math.inf
     samples: int = 64
-    ignore: Iterable[str] = field(default=(), kw_only=True)
-    strength: Strength | None = field(default=None, kw_only=True)
+    position: Vector = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         freeze(self, "start", vector3(self.start, "start"))
         freeze(self, "end", vector3(self.end, "end"))
         radius = real(self.radius)
@@ -310,16 +293,9 @@ class TubeLight(AreaLight):
         object.__setattr__(self, "radius", radius)
         if not np.abs(self.end - self.start).max() >= 1e-30:
             raise ValueError(f"end: expected another place than start = {self.start.tolist()}, got {self.end.tolist()}")
+        freeze(self, "position", 0.5 * self.start + 0.5 * self.end)
         if not radius and self.strength is not None and self.strength.exitance is not None:
             raise ValueError("strength.exitance: a tube of radius 0 has no surface; give power or intensity")
-        object.__setattr__(self, "range", range_of(self.range))
-        self._check()
-
-    @property
-    def position(self) -> FloatArray:
-        """(3,) its middle [m]."""
-        middle: FloatArray = 0.5 * self.start + 0.5 * self.end
-        return middle
 
     @property
     def points(self) -> FloatArray:
@@ -328,16 +304,6 @@ class TubeLight(AreaLight):
         _, u, v = patterns.across(*half.tolist())
         a, b, along = (column[:, None] for column in patterns.cylinder(self.samples).T)
         return self.position + along * half + a * (self.radius * u) + b * (self.radius * v)
-
-    @property
-    def homogeneous_points(self) -> FloatArray:
-        """(samples, 4)."""
-        return _placed(self.points)
-
-    @property
-    def shines(self) -> HardLight:
-        """Its middle."""
-        return PointLight(self.name, self.position, self.range)
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,14 +323,12 @@ class SunDisc(AreaLight):
     _quantities: ClassVar[tuple[str, ...]] = ("irradiance",)
     _models: ClassVar[tuple[str, ...]] = ()
 
-    name: str
     direction: Vector
     angular_diameter: float = math.radians(0.533)
     samples: int = 64
-    ignore: Iterable[str] = field(default=(), kw_only=True)
-    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         freeze(self, "direction", direction3(self.direction, "direction"))
         angle = real(self.angular_diameter)
         if not 0.0 < angle <= 0.5 * math.pi:
@@ -372,7 +336,6 @@ class SunDisc(AreaLight):
                 f"angular_diameter: expected an angle in radians with 0 < angle <= pi/2, got {self.angular_diameter!r}"
             )
         object.__setattr__(self, "angular_diameter", angle)
-        self._check()
 
     @property
     def range(self) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -50,7 +50,23 @@ def names_of(value: Any) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class PointLight:
+class NamedLight:
+    """What all lights have in common, and the check of it."""
+
+    name: str
+    ignore: Iterable[str] = field(default=(), kw_only=True)
+    strength: Strength | None = field(default=None, kw_only=True)
+    _quantities: ClassVar[tuple[str, ...]] = ("power", "intensity")
+    _models: ClassVar[tuple[str, ...]] = (ISOTROPIC,)
+
+    def __post_init__(self) -> None:
+        name_of(self.name, "name")
+        object.__setattr__(self, "ignore", names_of(self.ignore))
+        check_strength(self, self._quantities, self._models)
+
+
+@dataclass(frozen=True, eq=False)
+class PointLight(NamedLight):
     """A point that shines in all directions.
 
     Args:
@@ -62,16 +78,11 @@ class PointLight:
         strength: how much it radiates, see :class:`Strength`; None: only what it reaches can be asked.
     """
 
-    name: str
     position: Vector
     range: float = math.inf
-    ignore: Iterable[str] = field(default=(), kw_only=True)
-    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        name_of(self.name, "name")
-        object.__setattr__(self, "ignore", names_of(self.ignore))
-        check_strength(self, ("power", "intensity"), (ISOTROPIC,))
+        super().__post_init__()
         freeze(self, "position", vector3(self.position, "position"))
         object.__setattr__(self, "range", range_of(self.range))
 
@@ -87,7 +98,7 @@ class PointLight:
 
 
 @dataclass(frozen=True, eq=False)
-class SpotLight:
+class SpotLight(NamedLight):
     """A point that shines into a cone.
 
     Args:
@@ -96,23 +107,18 @@ class SpotLight:
         direction: (3,) axis of the cone, the way light travels; any length but zero.
         outer_angle: half angle of the cone [rad], 0 < outer_angle <= pi. Samples outside it are OUTSIDE.
         range: samples farther than this are OUTSIDE [m]; infinity by default.
-        ignore: names of meshes that cast no shadow in this light, such as its fixture; a name stands also for all that
-            begin with it and a slash. One that no mesh has ignores nothing, until there is such a mesh.
-        strength: how much it radiates, see :class:`Strength`; None: only what it reaches can be asked.
+        ignore, strength: as for :class:`PointLight`.
     """
 
-    name: str
+    _models: ClassVar[tuple[str, ...]] = (ISOTROPIC, LAMBERT)
+
     position: Vector
     direction: Vector
     outer_angle: float
     range: float = math.inf
-    ignore: Iterable[str] = field(default=(), kw_only=True)
-    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        name_of(self.name, "name")
-        object.__setattr__(self, "ignore", names_of(self.ignore))
-        check_strength(self, ("power", "intensity"), (ISOTROPIC, LAMBERT))
+        super().__post_init__()
         freeze(self, "position", vector3(self.position, "position"))
         freeze(self, "direction", direction3(self.direction, "direction"))
         angle = real(self.outer_angle)
@@ -137,7 +143,7 @@ class SpotLight:
 
 
 @dataclass(frozen=True, eq=False)
-class DirectionalLight:
+class DirectionalLight(NamedLight):
     """A light infinitely far away, such as the sun.
 
     Args:
@@ -146,15 +152,13 @@ class DirectionalLight:
         ignore, strength: as for :class:`PointLight`; its strength is an ``irradiance``.
     """
 
-    name: str
+    _quantities: ClassVar[tuple[str, ...]] = ("irradiance",)
+    _models: ClassVar[tuple[str, ...]] = ()
+
     direction: Vector
-    ignore: Iterable[str] = field(default=(), kw_only=True)
-    strength: Strength | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        name_of(self.name, "name")
-        object.__setattr__(self, "ignore", names_of(self.ignore))
-        check_strength(self, ("irradiance",), ())
+        super().__post_init__()
         freeze(self, "direction", direction3(self.direction, "direction"))
 
     @property

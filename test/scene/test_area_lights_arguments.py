@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import geometry
@@ -33,6 +34,7 @@ _GOOD: dict[Any, dict[str, Any]] = {
     DirectionalLight: {"direction": (0, 0, -1)},
 }
 _AREA = (DiscLight, RectangleLight, TubeLight, SunDisc)
+_SIZED = (*_AREA, SphereLight)
 
 
 @pytest.mark.parametrize("count", [2, 3, 7, 16, 33, 64])
@@ -98,13 +100,21 @@ def test_the_tangent_is_right_to_the_last_bits() -> None:
         assert patterns.tangent(float(angle)) == pytest.approx(math.tan(angle), rel=4e-16)
 
 
+def _middle(light: Any) -> np.ndarray:
+    return (light.shines if isinstance(light, _SIZED) else light).homogeneous
+
+
 @pytest.mark.parametrize("kind", _GOOD, ids=lambda kind: kind.__name__)
 def test_what_all_lights_have(kind: Any) -> None:
     light = kind("lamp", **_GOOD[kind], ignore=["shade", "foot", "shade"])
     assert light.name == "lamp" and light.ignore == ("foot", "shade")
     assert kind("lamp", **_GOOD[kind]).ignore == ()
+    moved = replace(light, ignore=["foot"])
+    assert moved.ignore == ("foot",) and np.array_equal(_middle(moved), _middle(light))
     with pytest.raises(ValueError, match="^name: expected"):
         kind("", **_GOOD[kind])
+    with pytest.raises(ValueError, match="^strength: expected a Strength"):
+        kind("lamp", **_GOOD[kind], strength=30.0)
     with pytest.raises(ValueError, match=r"^ignore: expected.*write \['shade'\]"):
         kind("lamp", **_GOOD[kind], ignore="shade")
     with pytest.raises(ValueError, match="^ignore: expected"):
@@ -149,3 +159,5 @@ def test_defaults() -> None:
     assert isinstance(DiscLight("d", **_GOOD[DiscLight]).shines, SpotLight)
     assert isinstance(DiscLight("d", **_GOOD[DiscLight], two_sided=True).shines, PointLight)
     assert not DiscLight("d", **_GOOD[DiscLight]).normal.flags.writeable
+    assert not RectangleLight("r", **_GOOD[RectangleLight]).normal.flags.writeable
+    assert not TubeLight("t", **_GOOD[TubeLight]).position.flags.writeable

@@ -63,6 +63,7 @@ class Result:
         passes: how often the images start again at an earlier time.
         differing: pixels on which a second pipeline did not agree (``verify_every``).
         verified: frames that a second pipeline traced as well.
+        parts: those that were there with any image, in order.
     """
 
     frames: int = 0
@@ -73,6 +74,7 @@ class Result:
     passes: int = 1
     differing: int = 0
     verified: int = 0
+    parts: dict[str, None] = field(default_factory=dict)
 
     def refuse(self, name: str, text: str, count: int = 1) -> None:
         """Count what could not be used."""
@@ -219,6 +221,7 @@ class Player:
         result = self.result
         result.frames += 1
         result.traced += answer.missing is None
+        result.parts |= dict.fromkeys(self.meshes.store.parts)
         if answer.warning:
             result.warnings[answer.warning] += 1
         if answer.missing is not None:

@@ -156,9 +156,7 @@ class Processor:
             frame,
             job.info,
             None,
-            tuple(light.name for light in settings.lights),
-            tuple(light.name for light in settings.enabled_lights),
-            tuple(light.name for light in settings.enabled_lights if light.strength is not None),
+            *_names(settings),
             settings.unknown_value,
             traced,
             job.optics,
@@ -190,12 +188,20 @@ class Processor:
             frame,
             info,
             missing,
-            tuple(light.name for light in settings.lights),
-            tuple(light.name for light in settings.enabled_lights),
-            tuple(light.name for light in settings.enabled_lights if light.strength is not None),
+            *_names(settings),
             settings.unknown_value,
             stages=watch.stages,
         )
+
+
+def _names(settings: Settings) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Names of all lights, of those enabled, and of these with a strength."""
+    enabled = settings.enabled_lights
+    return (
+        tuple(light.name for light in settings.lights),
+        tuple(light.name for light in enabled),
+        tuple(light.name for light in enabled if light.strength is not None),
+    )
 
 
 def forget_surface(scene: Scene, settings: Settings) -> None:
@@ -204,7 +210,7 @@ def forget_surface(scene: Scene, settings: Settings) -> None:
         scene.remove(DEPTH_PART)
 
 
-def ignored_by_nobody(settings: Settings, parts: Iterable[str]) -> str:
+def ignoring_nothing(settings: Settings, parts: Iterable[str]) -> str:
     """Which enabled light is to ignore a part that there is not, and the parts there are; "" if there is none."""
     known = [*parts, DEPTH_PART]
     for light in settings.enabled_lights:

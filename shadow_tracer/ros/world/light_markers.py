@@ -59,8 +59,8 @@ def _shapes(light: LightSettings, base: MarkerMessage) -> list[MarkerMessage]:
         label = position + (0.0, 0.0, size / 2 + _LETTER)
         shapes.append(replace(base, type=SPHERE, position=(x, y, z), scale=(size, size, size)))
     if light.type in ("disc", "rectangle", "tube"):
-        label = label + (0.0, 0.0, max(light.radius, *light.size) / 2)
         lines = position + _outline(light, way)
+        label[2] = max(label[2], lines[:, 2].max() + _LETTER)
         shapes.append(replace(base, id=1, type=LINE_LIST, points=lines, scale=(0.008, 1.0, 1.0)))
     if light.type == "spot":
         label = position - 2 * _LETTER * way

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shadow_tracer.ros.diagnostics import ERROR, PROCESSING, Missing
-from shadow_tracer.ros.settings import FloatArray, Light, LightSettings, Settings
+from shadow_tracer.ros.settings import FloatArray, LightSettings, Settings
 from shadow_tracer.ros.world.frames import Poses
+from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.sun import Sun
 
 
@@ -115,9 +116,9 @@ class Lighting:
             return light
         x, y, z = (float(value) for value in given.pose[:3, 3])
         u, v, w = (float(value) for value in given.pose[:3, 0])
-        along, across, up = (float(value) for value in given.pose[:3, 1])
-        placed = replace(light, frame=given.frame or light.frame, position=(x, y, z))
-        return replace(placed, direction=(u, v, w), axis=(along, across, up))
+        a, b, c = (float(value) for value in given.pose[:3, 1])
+        frame = given.frame or light.frame
+        return replace(light, frame=frame, position=(x, y, z), direction=(u, v, w), axis=(a, b, c))
 
     def _sun_direction(self, light: LightSettings, stamp: int) -> FloatArray | None:
         """(3,) the way sunlight travels, east, north, up; None at night."""

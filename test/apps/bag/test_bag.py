@@ -395,6 +395,17 @@ def test_queries_about_cones(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert text in capsys.readouterr().err
 
 
+def test_a_light_that_ignores_no_part_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, warned in (("shade", True), ("mesh", False)):
+        run(
+            still_life().write(tmp_path / name),
+            tmp_path / f"{name}.mcap",
+            *parameters(lights__lamp__ignore=f"[{name}]"),
+        )
+        text = f"warning: lights.lamp.ignore names '{name}', but the parts are mesh, depth; correct the name"
+        assert (text in capsys.readouterr().err) == warned
+
+
 def test_the_part_of_a_light_that_is_seen(tmp_path: Path) -> None:
     """The library's numbers, NaN where nothing is known; the mesh casts nothing in a light that ignores it."""
     lights = parameters(

@@ -358,7 +358,7 @@ def test_a_tube_and_a_panel_follow_the_pose_of_their_topic(tracer: ShadowTracer)
 
 
 def test_what_a_light_ignores(tracer: ShadowTracer) -> None:
-    """The plate casts shadow in one light and not in the other; a name that no part has is told."""
+    """The plate casts shadow in one light and not in the other; a name that no part has is reported."""
     names = ["lamp", "other"]
     with Rig({"light_names": names, "lights.lamp.ignore": ["mesh"]}) as rig:
         rig.listen_to_light("lamp")

@@ -196,7 +196,7 @@ def test_integers_are_accepted_for_doubles() -> None:
 )
 def test_what_does_not_fit_the_type_is_refused(kind: str, group: dict[str, Any], message: str) -> None:
     values = {f"lights.lamp.{key}": value for key, value in group.items()}
-    assert settings_from(values)  # of a point light nobody asks
+    assert settings_from(values)  # not asked of a point light
     with pytest.raises(ParameterError) as caught:
         settings_from({**values, "lights.lamp.type": kind})
     assert str(caught.value).startswith(message)

@@ -259,6 +259,7 @@ def test_flat_lights_and_tubes_have_their_outline() -> None:
         "panel": {"type": "rectangle", "size": (1.0, 0.5)},
         "tube": {"type": "tube", "length": 2.0, "radius": 0.1, "axis": (0.0, 1.0, 0.0)},
         "line": {"type": "tube", "length": 2.0, "radius": 0.0, "axis": (0.0, 1.0, 0.0)},
+        "post": {"type": "tube", "length": 2.0, "axis": (0.0, 0.0, 1.0)},
     }
     found, _ = lit(**{name: {**group, "position": (1.0, 2.0, 3.0)} for name, group in shapes.items()})
     lines = {name: found[name, 1].points - (1.0, 2.0, 3.0) for name in shapes}
@@ -270,6 +271,7 @@ def test_flat_lights_and_tubes_have_their_outline() -> None:
     np.testing.assert_allclose(abs(lines["line"]), np.tile((0.0, 1.0, 0.0), (2, 1)), atol=1e-12)
     np.testing.assert_allclose(abs(lines["tube"][:, 1]), 1.0)
     np.testing.assert_allclose(np.linalg.norm(lines["tube"][2:, ::2], axis=1), 0.1)
+    assert all(0.0 < found[name, 2].position[2] - found[name, 1].points[:, 2].max() < 0.2 for name in shapes)
 
 
 def test_parallel_light_is_an_arrow_to_the_origin_of_its_frame() -> None:
