@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from shadow_tracer.scene.checks import FloatArray, direction3, real
+from shadow_tracer.scene.checks import FloatArray, direction3, real, reals
+from shadow_tracer.scene.closed_forms import dot
 
 _UNITS = {"W/sr": 1.0, "mW/sr": 1e-3, "uW/cm2 at 1 m": 1e-2, "cd": 1.0}
 """What one of a file's numbers is in W/sr; of candela before it is divided by lumens per watt."""
@@ -86,8 +87,8 @@ class IntensityTable:
 
     def towards(self, directions: FloatArray) -> FloatArray:
         """(N,) intensity [W/sr] in (N, 3) directions in the world, away from the light and of any length but zero."""
-        x, down = directions @ self.zero, directions @ self.axis
-        y = directions @ np.cross(-self.axis, self.zero)
+        ways = directions.T
+        x, y, down = dot(ways, self.zero), dot(ways, np.cross(-self.axis, self.zero)), dot(ways, self.axis)
         vertical = np.arctan2(np.hypot(x, y), down)
         row, up = _between(self.vertical, vertical)
         if len(self.horizontal) == 1:
@@ -158,10 +159,7 @@ def _angles(value: Any, field: str, most: float) -> FloatArray:
 
 
 def _numbers(value: Any, field: str) -> FloatArray:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{field}: expected real numbers, got {value!r}") from error
+    array = reals(value, field, "real numbers")
     if not np.isfinite(array).all():
         raise ValueError(f"{field}: expected finite numbers, got {array.tolist()}")
     return array

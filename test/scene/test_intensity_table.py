@@ -85,6 +85,8 @@ def test_power_of_what_is_known() -> None:
         ({"values": [[1.0, -1.0]]}, "values: expected intensities"),
         ({"values": [[0.0, 0.0]]}, "values: expected intensities"),
         ({"values": [[1.0, math.nan]]}, "values: expected finite numbers"),
+        ({"values": [["1", "1"]]}, "values: expected real numbers"),
+        ({"vertical": np.ma.masked_greater([0.0, 1.0], 0.5)}, "vertical: expected an array without masked values"),
         ({"axis": (0, 0, 0)}, "axis: expected a direction"),
         ({"zero": (0, 1, 1)}, "zero: expected a direction at right angles"),
         (
