@@ -267,6 +267,8 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     del checked["light_names"]  # lights has them
     for name in ("mesh.files", "dose.parts"):
         checked[name] = tuple(item for item in checked[name] if item)
+    if len(set(checked["dose.parts"])) != len(checked["dose.parts"]):  # twice the dose
+        raise ParameterError(f"dose.parts: expected different names, got {list(checked['dose.parts'])}")
     fields = {_FIELDS.get(name, name.replace(".", "_")): value for name, value in checked.items()}
     return Settings(**{**fields, "lights": lights})
 
