@@ -9,47 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lamps import ies
 
 from shadow_tracer import IntensityTable
-
-_FILE = """IESNA:LM-63-2002
-[TEST] none
-[TESTLAB] none
-[ISSUEDATE] 2026
-[MANUFAC] nobody
-TILT=NONE
-1 -1 {multiplier} {vertical} {horizontal} {kind} 2 0 0 0
-{ballast} 1 0
-{angles}
-{around}
-{values}
-"""
-
-
-def ies(
-    folder: Path,
-    around: tuple[float, ...] = (0.0,),
-    values: Any = ((100.0, 50.0, 0.0),),
-    kind: int = 1,
-    multiplier: float = 1.0,
-    ballast: float = 1.0,
-) -> Path:
-    """A file of the vertical angles 0, 45 and 90 degrees."""
-    path = folder / "lamp.ies"
-    rows = "\n".join(" ".join(f"{value:g}" for value in row) for row in values)
-    path.write_text(
-        _FILE.format(
-            multiplier=multiplier,
-            vertical=3,
-            horizontal=len(around),
-            kind=kind,
-            ballast=ballast,
-            angles="0 45 90",
-            around=" ".join(f"{angle:g}" for angle in around),
-            values=rows,
-        )
-    )
-    return path
 
 
 def test_directions() -> None:

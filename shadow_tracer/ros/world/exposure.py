@@ -13,9 +13,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from urllib.parse import quote
 
-from shadow_tracer import DoseMap, ShadowTracer
+from shadow_tracer import DoseMap, IntensityTable, ShadowTracer
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.scene.lights import Light
+from shadow_tracer.scene.strength import QUANTITIES
 
 LONGEST = 1.0  # between two images [s]
 PERIOD = 1.0  # of exposures [s]
@@ -68,15 +69,11 @@ class Exposure:
             self.pause()
             seconds = 0.0
         self._last = now_ns
-        added = self._names(strong) != self._names(self._lights) and self._flush(settings, tracer)
+        added = _kinds(strong) != _kinds(self._lights) and self._flush(settings, tracer)
         self._lights = strong
         if strong:
             self._waiting += seconds
         return (self._waiting >= PERIOD and self._flush(settings, tracer)) or added
-
-    @staticmethod
-    def _names(lights: Iterable[Light]) -> list[tuple[str, object]]:
-        return [(light.name, light.strength) for light in lights]
 
     def _flush(self, settings: Settings, tracer: ShadowTracer) -> bool:
         """Add what waits. False if there is nothing."""
@@ -179,6 +176,18 @@ class Exposure:
         self.maps = maps
         self.pause()
         return len(maps)
+
+
+def _kinds(lights: Iterable[Light]) -> list[tuple[object, ...]]:
+    """What of lights makes an exposure end when it changes: not where they are, nor how their tables hang."""
+    kinds: list[tuple[object, ...]] = []
+    for light in lights:
+        strength = light.strength
+        assert strength is not None
+        model = strength.model
+        kind = id(model.values) if isinstance(model, IntensityTable) else model  # of lights that are kept
+        kinds.append((light.name, *(getattr(strength, name) for name in QUANTITIES), strength.output, kind))
+    return kinds
 
 
 def folder_of(settings: Settings) -> Path:

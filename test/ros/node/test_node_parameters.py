@@ -621,6 +621,10 @@ SHOWN_BELOW = {
         for key in ("power", "intensity", "exitance", "irradiance", "model", "output")
     },
     **{
+        f"lights.lamp.ies.{key}": test_node_lights.test_a_light_of_an_ies_file
+        for key in ("file", "unit", "lumens_per_watt")
+    },
+    **{
         f"dose.{key}": test_node_dose.test_dose_of_a_part
         for key in ("parts", "target", "goal", "max_edge", "side", "folder")
     },

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import geometry
 import numpy as np
 import pytest
 
-from shadow_tracer import Bounds, DoseMap, PointLight, ShadowTracer, Strength
+from shadow_tracer import Bounds, DoseMap, IntensityTable, PointLight, ShadowTracer, Strength
 from shadow_tracer.ros.parameters.parameter_rows import ParameterError
 from shadow_tracer.ros.parameters.parameters import settings_from
 from shadow_tracer.ros.settings import Settings
@@ -77,6 +79,17 @@ def test_a_light_that_changes_counts_as_it_was(world: ShadowTracer) -> None:
     one.add([LAMP], 0.4)
     one.add([WEAK], 0.4)
     assert exposure.maps["floor"].dose == pytest.approx(one.dose, rel=1e-9)
+
+
+def test_a_table_that_turns_ends_no_exposure_and_another_one_does(world: ShadowTracer) -> None:
+    exposure, table = Exposure(), IntensityTable((0.0, 3.0), (0.0,), [[2.0, 1.0]])
+    for step in range(4):
+        turned = table.hung((0, math.sin(0.1 * step), -math.cos(0.1 * step)), (1, 0, 0))
+        lamp = PointLight("lamp", (0, 0, 2), strength=Strength(model=turned))
+        assert not exposure.note(settings(), world, [lamp], BEGIN + step * SECOND // 5)
+    other = replace(LAMP, strength=Strength(model=IntensityTable((0.0, 3.0), (0.0,), [[2.0, 1.0]])))
+    assert exposure.note(settings(), world, [other], BEGIN + 4 * SECOND // 5)
+    assert exposure.maps["floor"].seconds == pytest.approx(0.6)
 
 
 def test_parts_that_are_not_there_or_change(world: ShadowTracer) -> None:
