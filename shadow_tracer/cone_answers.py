@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.checks import FloatArray, truth
 from shadow_tracer.scene.cone_checks import check_after, check_axes, check_budget, check_cones, check_count
 from shadow_tracer.scene.mesh import Scene
+from shadow_tracer.scene.some import Numbering
 
 if TYPE_CHECKING:
     from shadow_tracer.gpu.engine.engine import Engine
@@ -33,10 +34,11 @@ class Outcome(IntEnum):
 class ConeAnswers:
     """The part of :class:`ShadowTracer` that is asked about cones.
 
-    A cone has an apex and an axis; one with an end is cut off across the axis there. All triangles of the scene count,
-    from both sides: neither ``front_face_culling`` nor what lights ignore plays a part. Those without area, or with a
-    corner that is not finite, do not. Answers come from the tree of pipeline ``bvh/sah``, whatever pipeline traces;
-    it and the buffers are made when a cone is first asked about, and count in ``device_bytes``.
+    A cone has an apex and an axis; one with an end is cut off across the axis there. All triangles count of the meshes
+    that cast shadows, from both sides: neither ``front_face_culling`` nor what lights ignore plays a part. Those
+    without area, or with a corner that is not finite, do not. Answers come from the tree of pipeline ``bvh/sah``,
+    whatever pipeline traces; it and the buffers are made when a cone is first asked about, and count in
+    ``device_bytes``.
     """
 
     scene: Scene
@@ -80,9 +82,7 @@ class ConeAnswers:
             ValueError: an argument is malformed; the message names it.
         """
         asked, most = check_cones(apex, target, radius, half_angle, length), check_budget(budget)
-        if not isinstance(first, (bool, np.bool_)):
-            raise ValueError(f"first: expected True or False, got {first!r}")
-        if not first:
+        if not truth(first, "first"):
             return self._engine.ask_cones(
                 self.scene, lambda cones: cones.outcomes(asked.apices, asked.ends, asked.slopes, most)
             ).reshape(asked.shape)
@@ -94,6 +94,7 @@ class ConeAnswers:
                 cones.hits(asked.apices, ends, asked.slopes, 1, None),
             ),
         )
+        numbers = Numbering(self.scene).of_scene(numbers)
         return outcomes.reshape(asked.shape), numbers.reshape(asked.shape), distances.reshape(asked.shape)
 
     def cone_hits(
@@ -122,8 +123,11 @@ class ConeAnswers:
             ValueError: an argument is malformed; the message names it.
         """
         asked, most = check_axes(apex, axis, half_angle), check_count(n)
-        last = check_after(after, asked.shape)
+        last, numbering = check_after(after, asked.shape), Numbering(self.scene)
+        if last is not None:
+            last = last[0], numbering.of_occluders(last[1])
         numbers, distances = self._engine.ask_cones(
             self.scene, lambda cones: cones.hits(asked.apices, asked.ends, asked.slopes, most, last)
         )
+        numbers = numbering.of_scene(numbers)
         return numbers.reshape(*asked.shape, most), distances.reshape(*asked.shape, most)

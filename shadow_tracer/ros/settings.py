@@ -143,6 +143,7 @@ class Settings:
     mesh_frame: str
     mesh_max_age: float
     mesh_files: tuple[str, ...]
+    mesh_cast_no_shadows: tuple[str, ...]
     mesh_files_scale: float
     depth_image_transport: str
     depth_unit: float

@@ -378,6 +378,27 @@ def test_what_a_light_ignores(tracer: ShadowTracer) -> None:
         rig.wait_status(PROCESSING, WARN, "lights.lamp.ignore names 'shade', but the parts are mesh, depth")
 
 
+def test_a_part_that_casts_no_shadow(tracer: ShadowTracer) -> None:
+    """It gives normals as before; and begins to cast when it is no longer named."""
+    with Rig({"mesh.cast_no_shadows": ["mesh"], "lights.lamp.power": 4.0}) as rig:
+        heard = rig.collect(Image, "shadow_tracer/irradiance/lamp")
+        rig.send_mesh(*plate())
+        stamp = rig.send_frame(wall())
+        light = PointLight("lamp", (0.5, -0.5, 0.0), strength=Strength(power=4.0))
+        tracer.scene.cast_shadows("mesh", False)
+        frame = tracer.trace(wall(), camera(), [light], bias=BIAS)
+        seen = frame.irradiance()
+        tracer.scene.cast_shadows("mesh", True)
+        np.testing.assert_array_equal(rig.mask_of(stamp), frame.mask())
+        np.testing.assert_array_equal(irradiance_of(rig, heard, stamp), seen)
+        assert (frame.mask() == np.where(np.isfinite(wall()) & (wall() > 0), 255, 0)).all()
+        assert rig.set(mesh__cast_no_shadows=["markers", "mesh"]) == ""
+        rig.trace(wall())
+        rig.wait_status(PROCESSING, WARN, "mesh.cast_no_shadows names 'markers', but the parts are mesh")
+        assert rig.set(mesh__cast_no_shadows=[""]) == ""
+        np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, light).mask())
+
+
 def test_a_light_that_becomes_the_sun_leaves_the_pose_of_its_topic() -> None:
     pytest.importorskip("ephem")
     with Rig({**THREE, **EAST_NORTH_UP, "light_names": ["lamp"]}) as rig:

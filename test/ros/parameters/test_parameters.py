@@ -153,6 +153,7 @@ BAD = [
     ("lights.lamp.ies.lumens_per_watt", 700.0, "lights.lamp.ies.lumens_per_watt: expected double (0 to 683.1 lm/W)"),
     ("lights.lamp.output", 1.1, "lights.lamp.output: expected double (0 to 1), got 1.1"),
     ("lights.lamp.angular_diameter", 1.6, "lights.lamp.angular_diameter: expected double (0 to"),
+    ("mesh.cast_no_shadows", "mesh", "mesh.cast_no_shadows: expected string array, got 'mesh'"),
     ("lights.lamp.ignore", "shade", "lights.lamp.ignore: expected string array, got 'shade'"),
     ("lights.lamp.sun.latitude", 90.5, "lights.lamp.sun.latitude: expected double (-90 to 90 deg), got 90.5"),
     ("lights.lamp.sun.longitude", -181.0, "lights.lamp.sun.longitude: expected double (-180 to 180 deg), got -181.0"),
