@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.checks import FloatArray, truth
 from shadow_tracer.scene.cone_checks import check_after, check_axes, check_budget, check_cones, check_count
 from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.mesh import Scene
+from shadow_tracer.scene.some import Numbering
 
 if TYPE_CHECKING:
     from shadow_tracer.gpu.engine.engine import Engine
@@ -34,11 +35,11 @@ class Outcome(IntEnum):
 class ConeAnswers:
     """The part of :class:`ShadowTracer` that is asked about cones.
 
-    A cone has an apex and an axis; one with an end is cut off across the axis there. All triangles of the scene count,
-    from both sides, whatever ``front_face_culling`` is, but for those of meshes that the light ignores of cones to one.
-    Those without area, or with a corner that is not finite, do not. Answers come from the tree of pipeline ``bvh/sah``,
-    whatever pipeline traces; it and the buffers are made when a cone is first asked about, and count in
-    ``device_bytes``.
+    A cone has an apex and an axis; one with an end is cut off across the axis there. All triangles count of the meshes
+    that cast shadows, from both sides, whatever ``front_face_culling`` is, but for those of meshes that the light ignores
+    of cones to one. Those without area, or with a corner that is not finite, do not. Answers come from the tree of
+    pipeline ``bvh/sah``, whatever pipeline traces; it and the buffers are made when a cone is first asked about, and
+    count in ``device_bytes``.
     """
 
     scene: Scene
@@ -85,10 +86,8 @@ class ConeAnswers:
             ValueError: an argument is malformed; the message names it.
         """
         asked, most = check_cones(apex, target, radius, half_angle, length), check_budget(budget)
-        if not isinstance(first, (bool, np.bool_)):
-            raise ValueError(f"first: expected True or False, got {first!r}")
         ignored = tuple(target.ignore) if isinstance(target, Light) else ()
-        if not first:
+        if not truth(first, "first"):
             return self._engine.ask_cones(
                 self.scene, lambda cones: cones.outcomes(asked.apices, asked.ends, asked.slopes, most), ignored
             ).reshape(asked.shape)
@@ -100,6 +99,7 @@ class ConeAnswers:
             ),
             ignored,
         )
+        numbers = Numbering(self.scene).of_scene(numbers)
         return outcomes.reshape(asked.shape), numbers.reshape(asked.shape), distances.reshape(asked.shape)
 
     def cone_hits(
@@ -128,8 +128,11 @@ class ConeAnswers:
             ValueError: an argument is malformed; the message names it.
         """
         asked, most = check_axes(apex, axis, half_angle), check_count(n)
-        last = check_after(after, asked.shape)
+        last, numbering = check_after(after, asked.shape), Numbering(self.scene)
+        if last is not None:
+            last = last[0], numbering.of_occluders(last[1])
         numbers, distances = self._engine.ask_cones(
             self.scene, lambda cones: cones.hits(asked.apices, asked.ends, asked.slopes, most, last)
         )
+        numbers = numbering.of_scene(numbers)
         return numbers.reshape(*asked.shape, most), distances.reshape(*asked.shape, most)

@@ -66,8 +66,7 @@ class DoseMap:
         side: str = "front",
         samples: str = "",
     ) -> None:
-        if not isinstance(tracer, ShadowTracer):
-            raise ValueError(f"tracer: expected a ShadowTracer, got {type(tracer).__name__}")
+        _check_tracer(tracer)
         if part not in tracer.scene:
             raise ValueError(f"part: expected one of {list(tracer.scene.names)}, got {part!r}")
         edge, lift = real(max_edge), real(offset)
@@ -158,7 +157,8 @@ class DoseMap:
         Raises:
             ValueError: the part is no longer in the scene, or has other vertices or triangles.
         """
-        return _moved(self._lifted, self._mesh().pose[:3, :3], self._mesh().pose[:3, 3])
+        pose = self._mesh().pose
+        return _moved(self._lifted, pose[:3, :3], pose[:3, 3])
 
     def pose(self) -> FloatArray:
         """(4, 4) pose of the part in the world as it is now.
@@ -172,8 +172,11 @@ class DoseMap:
         """Go on with a tracer whose scene holds the part, in whatever pose.
 
         Raises:
-            ValueError: there is no such part, or its mesh is another surface; nothing has changed.
+            ValueError: not a tracer, there is no such part, or its mesh is another surface; nothing has changed.
         """
+        _check_tracer(tracer)
+        if self.part not in tracer.scene:
+            raise ValueError(f"part: expected one of {list(tracer.scene.names)}, got {self.part!r}, whose dose this is")
         mesh = tracer.scene[self.part]
         revisions = mesh.topology_revision, mesh.vertices_revision
         if tracer is self.tracer and revisions == self._known:
@@ -258,7 +261,12 @@ class DoseMap:
             return np.where(missing <= 0.0, 0.0, np.maximum(missing, 0.0) / found)
 
     def save(self, path: str | Path) -> None:
-        """Write all of it to an NPZ file, bit for bit; :meth:`load` reads it."""
+        """Write all of it to an NPZ file, bit for bit; :meth:`load` reads it. A file of that name stays as it was until
+        the new one is whole.
+
+        Raises:
+            OSError: it cannot be written.
+        """
         state = self._received
         write_npz(
             Path(path),
@@ -291,12 +299,12 @@ class DoseMap:
         made = cls.__new__(cls)
         texels = Texels(arrays["corners"], arrays["area"], arrays["normals"])
         made._set_up(
-            tracer, texts["part"], numbers["max_edge"], numbers["offset"], texts["side"], samples, texels, texts["mesh"]
+            None, texts["part"], numbers["max_edge"], numbers["offset"], texts["side"], samples, texels, texts["mesh"]
         )
         dose, seconds_lit, irradiance = (_frozen(arrays[name]) for name in ("dose", "seconds_lit", "irradiance"))
         made._received = _Received(dose, seconds_lit, irradiance, numbers["seconds"])
         if tracer is not None:
-            made._mesh()
+            made.attach(tracer)
         return made
 
     def write_csv(self, path: str | Path) -> None:
@@ -353,12 +361,13 @@ class DoseMap:
         """The part, if it is still the same surface."""
         if self.tracer is None:
             raise ValueError("tracer: this map was loaded without one; DoseMap.load(path, tracer) goes on")
-        if self.part not in self.tracer.scene:
-            raise ValueError(
-                f"part: expected one of {list(self.tracer.scene.names)}, got {self.part!r}, whose dose this is"
-            )
         self.attach(self.tracer)
         return self.tracer.scene[self.part]
+
+
+def _check_tracer(tracer: object) -> None:
+    if not isinstance(tracer, ShadowTracer):
+        raise ValueError(f"tracer: expected a ShadowTracer, got {type(tracer).__name__}")
 
 
 def _frozen(array: FloatArray) -> FloatArray:

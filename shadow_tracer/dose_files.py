@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import zipfile
+import os
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from shadow_tracer.scene.checks import FloatArray, real
 from shadow_tracer.scene.dose_colors import colors_of
+from shadow_tracer.scene.texels import SIDES
 
 _VERSION = 1
 _TEXTS = ("part", "side", "mesh")
@@ -52,12 +53,18 @@ class Dosed(Protocol):
 
 
 def write_npz(path: Path, texts: dict[str, str], numbers: dict[str, float], arrays: dict[str, FloatArray]) -> None:
-    """An array for each field, and the version of the format."""
+    """An array for each field, and the version of the format. The file appears under its name once it is whole, or not
+    at all."""
     fields: dict[str, Any] = {"version": np.array(_VERSION), **arrays}
     fields |= {name: np.array(text) for name, text in texts.items()}
     fields |= {name: np.array(number, np.float64) for name, number in numbers.items()}
-    with open(path, "wb") as file:  # numpy would add an ending
-        np.savez_compressed(file, **fields)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with open(part, "wb") as file:  # numpy would add an ending
+            np.savez_compressed(file, **fields)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def read_npz(path: Path) -> tuple[dict[str, str], dict[str, float], dict[str, FloatArray]]:
@@ -69,29 +76,44 @@ def read_npz(path: Path) -> tuple[dict[str, str], dict[str, float], dict[str, Fl
     try:
         with np.load(path, allow_pickle=False) as file:
             fields = {name: file[name] for name in file.files}
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+    except Exception as error:  # what numpy, zipfile and zlib raise of damaged bytes is of many kinds
         raise ValueError(f"path: expected a dose map that was saved, got {str(path)!r}: {error}") from error
     missing = [name for name in ("version", *_TEXTS, *_NUMBERS, *_SHAPES) if name not in fields]
     if missing:
         raise ValueError(f"{missing[0]}: missing in {str(path)!r}, which is no dose map")
-    if fields["version"].shape or int(fields["version"]) != _VERSION:
+    if fields["version"].dtype.kind not in "iu" or fields["version"].shape or int(fields["version"]) != _VERSION:
         raise ValueError(f"version: expected {_VERSION}, got {fields['version']!r}")
     for name in _TEXTS:
         if fields[name].dtype.kind != "U" or fields[name].shape:
             raise ValueError(f"{name}: expected a text, got {fields[name].dtype} of shape {fields[name].shape}")
+    if str(fields["side"]) not in SIDES:
+        raise ValueError(f"side: expected one of {', '.join(map(repr, SIDES))}, got {str(fields['side'])!r}")
     for name in _NUMBERS:
-        if fields[name].shape or not real(fields[name]) >= 0.0:
-            raise ValueError(f"{name}: expected a number of 0 or more, got {fields[name]!r}")
-    count = len(fields["area"]) if fields["area"].ndim else 0
-    for name, inner in _SHAPES.items():
-        if fields[name].shape != (count, *inner) or fields[name].dtype != np.float64:
-            got = f"{fields[name].dtype} of shape {fields[name].shape}"
-            raise ValueError(f"{name}: expected float64 of shape {(count, *inner)}, got {got}")
+        if fields[name].shape or not 0.0 <= real(fields[name]) < np.inf:
+            raise ValueError(f"{name}: expected a finite number of 0 or more, got {fields[name]!r}")
+    _check_arrays(fields)
     return (
         {name: str(fields[name]) for name in _TEXTS},
         {name: float(fields[name]) for name in _NUMBERS},
         {name: fields[name] for name in _SHAPES},
     )
+
+
+def _check_arrays(fields: dict[str, Any]) -> None:
+    """Raise ValueError unless there is at least one texel, of which all is known but the irradiance."""
+    count = max(1, len(fields["area"])) if fields["area"].ndim else 1
+    for name, inner in _SHAPES.items():
+        if fields[name].shape != (count, *inner) or fields[name].dtype != np.float64:
+            got = f"{fields[name].dtype} of shape {fields[name].shape}"
+            raise ValueError(f"{name}: expected float64 of shape {(count, *inner)}, got {got}")
+    for name in ("corners", "normals"):
+        if not np.isfinite(fields[name]).all():
+            raise ValueError(f"{name}: expected finite numbers")
+    for name in ("area", "dose", "seconds_lit"):
+        if not (fields[name] >= 0.0).all():
+            raise ValueError(f"{name}: expected numbers of 0 or more")
+    if (fields["irradiance"] < 0.0).any():
+        raise ValueError("irradiance: expected numbers of 0 or more, NaN where unknown")
 
 
 def write_csv(path: Path, dose_map: Dosed) -> None:

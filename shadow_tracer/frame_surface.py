@@ -58,8 +58,12 @@ class FrameSurface:
         self._camera = camera
         self._scene = scene
         self._revision = scene.revision
-        self._meshes = [Mesh(mesh.name, mesh.vertices, mesh.triangles, mesh.pose) for mesh in scene]
+        self._parts = [(mesh.name, mesh.vertices, mesh.triangles, mesh.pose) for mesh in scene]  # never changed
         self._device = device
+
+    @cached_property
+    def _meshes(self) -> list[Mesh]:
+        return [Mesh(*part) for part in self._parts]
 
     @cached_property
     def metres(self) -> FloatArray:

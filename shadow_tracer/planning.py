@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from shadow_tracer.dose import DoseMap
-from shadow_tracer.scene.checks import FloatArray, finite, real
+from shadow_tracer.scene.checks import FloatArray, finite, real, reals
 from shadow_tracer.scene.dose_colors import check_dose
 from shadow_tracer.scene.lights import Light
 
@@ -71,9 +71,8 @@ def irradiance_matrix(dose_map: DoseMap, candidates: Iterable[Stop | Iterable[Li
         ValueError: an argument is malformed; the message names it.
         BoundsError: more lights than declared.
     """
-    stops = [each if isinstance(each, Stop) else Stop(_lights(each, k)) for k, each in enumerate(candidates)]
-    if not stops:
-        raise ValueError("candidates: expected at least one place to stand, got none")
+    listed = _listed(candidates)
+    stops = [each if isinstance(each, Stop) else Stop(_lights(each, k)) for k, each in enumerate(listed)]
     rows = np.empty((len(stops), len(dose_map)))
     for number, stop in enumerate(stops):
         try:
@@ -104,6 +103,16 @@ def _standing(dose_map: DoseMap, poses: Mapping[str, Any]) -> Iterator[None]:
     finally:
         for name, pose in before.items():
             scene.move(name, pose)
+
+
+def _listed(candidates: Any) -> list[Any]:
+    """At least one. Raises ValueError."""
+    if not isinstance(candidates, Iterable):
+        raise ValueError(f"candidates: expected an iterable of places to stand, got {type(candidates).__name__}")
+    listed = list(candidates)
+    if not listed:
+        raise ValueError("candidates: expected at least one place to stand, got none")
+    return listed
 
 
 def _lights(value: Any, number: int) -> Sequence[Light]:
@@ -158,7 +167,7 @@ def plan_positions(
         raise ValueError(f"time_limit: expected a positive time in seconds, got {time_limit!r}")
     if method not in METHODS:
         raise ValueError(f"method: expected one of {', '.join(map(repr, METHODS))}, got {method!r}")
-    listed = list(candidates)
+    listed = _listed(candidates)
     rows = irradiance_matrix(dose_map, listed) if matrix is None else _matrix(matrix, len(listed), len(dose_map))
     missing = np.maximum(wanted - dose_map.dose, 0.0)
     reachable = (missing == 0.0) | (rows.max(axis=0) > 0.0)
@@ -171,7 +180,7 @@ def plan_positions(
 
 
 def _matrix(value: Any, stops: int, texels: int) -> FloatArray:
-    rows = np.asarray(value, np.float64)
+    rows = reals(value, "matrix", f"finite irradiances of 0 or more, of shape {(stops, texels)}")
     if rows.shape != (stops, texels) or not (rows >= 0.0).all() or not np.isfinite(rows).all():
         raise ValueError(
             f"matrix: expected finite irradiances of 0 or more, of shape {(stops, texels)}, got shape {rows.shape}"
@@ -194,11 +203,10 @@ def _plan(
 
 def _greedy(rows: FloatArray, missing: FloatArray, area: FloatArray, goal: float, travel: float) -> dict[int, float]:
     """Seconds by candidate."""
-    missing, enough = missing.copy(), 1e-9 * missing.max(initial=0.0)
+    missing, enough = missing.copy(), 0.5 * _ROUNDING * missing  # of each so little that longer times bring it, too
     chosen: dict[int, float] = {}
-    while float(area[missing <= enough].sum()) < goal * (1.0 - 1e-12):
-        left = np.flatnonzero(missing > enough)
-        still = goal - float(area[missing <= enough].sum())
+    while (done := float(area[missing <= enough].sum())) < goal * (1.0 - 1e-12):
+        left, still = np.flatnonzero(missing > enough), goal - done
         best = (0.0, -1, 0.0)
         for number, row in enumerate(rows):
             some = left[row[left] > 0.0]
@@ -261,7 +269,7 @@ def _solve(doses: FloatArray, travel: float, limit: float) -> FloatArray | None:
     costs, kinds, most = np.ones(count), np.zeros(count), np.full(count, np.inf)
     constraints = [LinearConstraint(csr_array(doses), 1.0, np.inf)]
     if travel:
-        # Standing everywhere for one unit is enough; whoever stands longer than that and its travels is no better.
+        # Standing everywhere for one unit is enough; standing longer than that and its travels is no better.
         longest = count * (1.0 + travel)
         costs, kinds = np.append(costs, np.full(count, travel)), np.append(kinds, np.ones(count))
         most = np.append(most, np.ones(count))

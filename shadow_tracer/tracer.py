@@ -21,6 +21,7 @@ from shadow_tracer.point_answers import PointAnswers
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
+from shadow_tracer.scene.checks import truth
 from shadow_tracer.scene.frame_checks import Lights, check_frame
 from shadow_tracer.scene.lights import Light, PointLight, SphereLight
 from shadow_tracer.scene.mesh import Scene
@@ -131,9 +132,7 @@ class ShadowTracer(PointAnswers, ConeAnswers):
 
     @front_face_culling.setter
     def front_face_culling(self, value: bool) -> None:
-        if not isinstance(value, (bool, np.bool_)):
-            raise ValueError(f"front_face_culling: expected True or False, got {value!r}")
-        self._culling = bool(value)
+        self._culling = truth(value, "front_face_culling")
 
     @property
     def device_bytes(self) -> int:

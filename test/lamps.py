@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Irradiance by other ways than the package's: sums over a hundred thousand pieces of a lamp, and formulas from books.
+"""Irradiance by other ways than the package's: sums over a hundred thousand pieces of a lamp, and formulas from books;
+and IES files.
 
 Pieces are made with random numbers or grids; nothing here uses a light's own points.
 """
@@ -7,6 +8,7 @@ Pieces are made with random numbers or grids; nothing here uses a light's own po
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,18 @@ from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.patterns import across
 
 ALL = np.uint64(2**64 - 1)
+_FILE = """IESNA:LM-63-2002
+[TEST] none
+[TESTLAB] none
+[ISSUEDATE] 2026
+[MANUFAC] nobody
+TILT=NONE
+1 -1 {multiplier} {vertical} {horizontal} {kind} 2 0 0 0
+{ballast} 1 0
+{angles}
+{around}
+{values}
+"""
 
 
 def keitz(power: float, length: float, distance: float) -> float:
@@ -73,3 +87,29 @@ def contributions(light: Any, area: float, point: Any, normal: Any, count: int) 
     turned = -(v * normals).sum(axis=1)
     turned = np.abs(turned) if getattr(light, "two_sided", False) else np.maximum(turned, 0.0)
     return places, area / count * turned * np.maximum(v @ normal, 0.0) / square**2
+
+
+def ies(
+    folder: Path,
+    around: tuple[float, ...] = (0.0,),
+    values: Any = ((100.0, 50.0, 0.0),),
+    kind: int = 1,
+    multiplier: float = 1.0,
+    ballast: float = 1.0,
+) -> Path:
+    """A file of the vertical angles 0, 45 and 90 degrees."""
+    path = folder / "lamp.ies"
+    rows = "\n".join(" ".join(f"{value:g}" for value in row) for row in values)
+    path.write_text(
+        _FILE.format(
+            multiplier=multiplier,
+            vertical=3,
+            horizontal=len(around),
+            kind=kind,
+            ballast=ballast,
+            angles="0 45 90",
+            around=" ".join(f"{angle:g}" for angle in around),
+            values=rows,
+        )
+    )
+    return path

@@ -125,6 +125,18 @@ def test_what_has_been_received_counts(floor: DoseMap) -> None:
     assert more.total > 0.0 and more.coverage[-1] >= 0.9 * more.reachable - 1e-9
 
 
+def test_what_lacks_hardly_anything_is_brought_to_the_target_too(reference: ShadowTracer) -> None:
+    """One of two floors has all but 1e-10 of it: so little against what the other one lacks is no rounding."""
+    reference.scene.put(
+        "floor", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (9, 0, 0), (10, 0, 0), (9, 1, 0)], [(0, 1, 2), (3, 4, 5)]
+    )
+    two = DoseMap(reference, "floor", 10.0)
+    two.add([lamp(0.3, 0.3)], 10.0)
+    target = float(two.dose.max()) * (1.0 + 1e-10)
+    plan = plan_positions(two, [Stop([lamp(0, 0)])] * 2, target, matrix=np.eye(2))
+    assert sorted(plan.stops) == [0, 1] and plan.coverage[-1] == plan.reachable == 1.0
+
+
 def test_what_no_place_reaches_is_not_promised(floor: DoseMap) -> None:
     below = plan_positions(floor, [[lamp(0.0, 0.0, -1.0)]], TARGET)
     assert below.stops == () and below.reachable == 0.0 and (below.dose == 0.0).all()
@@ -145,7 +157,11 @@ def test_what_no_place_reaches_is_not_promised(floor: DoseMap) -> None:
         ({"candidates": [[PointLight("dark", (0, 0, 1))]]}, r"candidates\[0\].strength: the light 'dark' has none"),
         ({"candidates": [Stop([lamp(0, 0)], {"cart": np.eye(4)})]}, r"candidates\[0\].name: expected one of"),
         ({"candidates": [Stop([lamp(0, 0)], {"robot": np.zeros((4, 4))})]}, r"candidates\[0\].pose: expected"),
+        ({"candidates": 3}, "candidates: expected an iterable of places to stand, got int"),
+        ({"candidates": [], "matrix": np.ones((0, 2))}, "candidates: expected at least one place"),
         ({"matrix": np.ones((2, 2))}, "matrix: expected finite irradiances"),
+        ({"matrix": [[1.0], [1.0, 2.0]]}, "matrix: expected finite irradiances"),
+        ({"matrix": "rows"}, "matrix: expected finite irradiances"),
     ],
 )
 def test_plans_that_are_refused(floor: DoseMap, what: dict[str, Any], says: str) -> None:

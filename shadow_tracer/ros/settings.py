@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from shadow_tracer import (
     Bounds,
     DirectionalLight,
     DiscLight,
+    IntensityTable,
     PointLight,
     RectangleLight,
     SphereLight,
@@ -74,7 +75,7 @@ class LightSettings:
         name, turn = self.name, frame_to_world[:3, :3]
         position = turn @ np.asarray(self.position) + frame_to_world[:3, 3]
         way = turn @ (np.asarray(self.direction) if direction is None else direction)
-        more: dict[str, Any] = {"ignore": self.ignore, "strength": self.strength}
+        more: dict[str, Any] = {"ignore": self.ignore, "strength": self._strength(turn)}
         if self.type in ("directional", "sun"):
             if self.angular_diameter > 0.0:
                 return SunDisc(name, way, self.angular_diameter, **more)
@@ -98,12 +99,26 @@ class LightSettings:
     def sides(self) -> tuple[FloatArray, FloatArray]:
         """From the middle of a rectangle to the middles of two of its sides [m]: with them it shines along
         ``direction``."""
+        way, u = self._way_and_across
+        return 0.5 * self.size[0] * u, 0.5 * self.size[1] * np.cross(way, u)
+
+    @property
+    def _way_and_across(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors along ``direction``, and along the part of ``axis`` across it."""
         way = np.asarray(self.direction) / np.linalg.norm(self.direction)
         axis = np.asarray(self.axis)
         u = axis - (axis @ way) * way
         u /= np.linalg.norm(u)
         u -= (u @ way) * way  # what the rounding of a long axis left
-        return 0.5 * self.size[0] * u, 0.5 * self.size[1] * np.cross(way, u)
+        return way, u
+
+    def _strength(self, turn: FloatArray) -> Strength | None:
+        """In the world: a table hangs with its axis along ``direction``, and begins where ``axis`` points."""
+        table = None if self.strength is None else self.strength.model
+        if self.strength is None or not isinstance(table, IntensityTable):
+            return self.strength
+        way, across = self._way_and_across
+        return replace(self.strength, model=table.hung(turn @ way, turn @ across))
 
     @property
     def half_length(self) -> FloatArray:
@@ -128,6 +143,7 @@ class Settings:
     mesh_frame: str
     mesh_max_age: float
     mesh_files: tuple[str, ...]
+    mesh_cast_no_shadows: tuple[str, ...]
     mesh_files_scale: float
     depth_image_transport: str
     depth_unit: float

@@ -115,6 +115,13 @@ def real(value: Any) -> float:
         return float("nan")
 
 
+def truth(value: Any, field: str) -> bool:
+    """Raise ValueError unless ``value`` is True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{field}: expected True or False, got {value!r}")
+    return bool(value)
+
+
 def finite(value: Any, field: str) -> float:
     """Return ``value`` as a finite float, or raise ValueError naming ``field``."""
     number = real(value)

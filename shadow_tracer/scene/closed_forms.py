@@ -94,7 +94,8 @@ class Line:
         self.begin = dot(v, axis)  # where the line starts, from the foot of the sample's perpendicular [m]
         foot = v - self.begin * axis[:, None]
         self.distance = np.sqrt(dot(foot, foot))
-        self.up = dot(normals, foot) / self.distance  # cosines of the normal
+        # Cosines of the normal; on the line itself none but along it.
+        self.up = np.where(self.distance > 0.0, dot(normals, foot) / self.distance, 0.0)
         self.along = dot(normals, axis)
         # Above the sample's plane are places on the line between these.
         meets = -self.distance * self.up / np.where(self.along == 0.0, 1.0, self.along)
@@ -121,5 +122,5 @@ class Line:
         """(N,) the same where intensity is alike in all directions: the integral of ``cos_sample / distance^2``."""
         s, e, h = self._cut(begin), self._cut(end), self.distance
         to_s, to_e = np.sqrt(h * h + s * s), np.sqrt(h * h + e * e)
-        found = self.up / h * (e / to_e - s / to_s) + self.along * (1.0 / to_s - 1.0 / to_e)
+        found = np.where(h > 0.0, self.up / h, 0.0) * (e / to_e - s / to_s) + self.along * (1.0 / to_s - 1.0 / to_e)
         return np.where(e > s, np.maximum(found, 0.0), 0.0)

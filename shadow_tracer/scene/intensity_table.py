@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from shadow_tracer.scene.checks import FloatArray, direction3, real
+from shadow_tracer.scene.checks import FloatArray, direction3, real, reals
+from shadow_tracer.scene.closed_forms import dot
 
-_UNITS = {"W/sr": 1.0, "mW/sr": 1e-3, "uW/cm2 at 1 m": 1e-2, "cd": 1.0}
+UNITS = {"W/sr": 1.0, "mW/sr": 1e-3, "uW/cm2 at 1 m": 1e-2, "cd": 1.0}
 """What one of a file's numbers is in W/sr; of candela before it is divided by lumens per watt."""
+LARGEST_EFFICACY = 683.1  # lm/W: 683.002 of 555 nm
 _TURN = 2.0 * math.pi
 
 
@@ -55,17 +58,32 @@ class IntensityTable:
             raise ValueError("values: expected intensities of 0 to 1e30 W/sr, some of them positive")
         if not np.array_equal(values[0], values[-1]):
             raise ValueError("values: expected the same at the horizontal angles 0 and 2 pi")
-        axis, zero = direction3(self.axis, "axis"), direction3(self.zero, "zero")
-        axis, zero = axis / np.linalg.norm(axis), zero / np.linalg.norm(zero)
-        if not abs(float(axis @ zero)) <= 1e-6:
-            raise ValueError(f"zero: expected a direction at right angles to axis = {self.axis!r}, got {self.zero!r}")
-        for name, array in zip(
-            ("vertical", "horizontal", "values", "axis", "zero"),
-            (vertical, horizontal, values, axis, zero),
-            strict=True,
-        ):
+        for name, array in (("vertical", vertical), ("horizontal", horizontal), ("values", values)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+        self._hang(self.axis, self.zero)
+
+    def _hang(self, along: Any, around: Any) -> None:
+        axis, zero = direction3(along, "axis"), direction3(around, "zero")
+        axis, zero = axis / np.linalg.norm(axis), zero / np.linalg.norm(zero)
+        if not abs(float(axis @ zero)) <= 1e-6:
+            raise ValueError(f"zero: expected a direction at right angles to axis = {along!r}, got {around!r}")
+        for name, array in (("axis", axis), ("zero", zero)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def hung(self, axis: Any, zero: Any) -> IntensityTable:
+        """The same light hanging otherwise; its numbers are the same arrays.
+
+        Args:
+            axis, zero: as for the class.
+
+        Raises:
+            ValueError: as for the class.
+        """
+        made = copy.copy(self)
+        made._hang(axis, zero)
+        return made
 
     @property
     def peak(self) -> float:
@@ -86,8 +104,8 @@ class IntensityTable:
 
     def towards(self, directions: FloatArray) -> FloatArray:
         """(N,) intensity [W/sr] in (N, 3) directions in the world, away from the light and of any length but zero."""
-        x, down = directions @ self.zero, directions @ self.axis
-        y = directions @ np.cross(-self.axis, self.zero)
+        ways = directions.T
+        x, y, down = dot(ways, self.zero), dot(ways, np.cross(-self.axis, self.zero)), dot(ways, self.axis)
         vertical = np.arctan2(np.hypot(x, y), down)
         row, up = _between(self.vertical, vertical)
         if len(self.horizontal) == 1:
@@ -127,12 +145,12 @@ class IntensityTable:
             ValueError: an argument is malformed, or the file is; the message names it.
             ImportError: photompy is not installed; the message says how to install it.
         """
-        if unit not in _UNITS:
-            raise ValueError(f"unit: expected one of {', '.join(map(repr, _UNITS))}, got {unit!r}")
-        factor = _UNITS[unit]
+        if unit not in UNITS:
+            raise ValueError(f"unit: expected one of {', '.join(map(repr, UNITS))}, got {unit!r}")
+        factor = UNITS[unit]
         if unit == "cd":
             efficacy = real(lumens_per_watt)
-            if not 0.0 < efficacy <= 683.1:
+            if not 0.0 < efficacy <= LARGEST_EFFICACY:
                 raise ValueError(
                     "lumens_per_watt: candela need it, a number above 0 and at most 683.002 [lm/W] by the lamp's "
                     f"spectrum, got {lumens_per_watt!r}; for ultraviolet and infrared there is none"
@@ -158,10 +176,7 @@ def _angles(value: Any, field: str, most: float) -> FloatArray:
 
 
 def _numbers(value: Any, field: str) -> FloatArray:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{field}: expected real numbers, got {value!r}") from error
+    array = reals(value, field, "real numbers")
     if not np.isfinite(array).all():
         raise ValueError(f"{field}: expected finite numbers, got {array.tolist()}")
     return array

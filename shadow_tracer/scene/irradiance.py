@@ -283,8 +283,9 @@ def _tube(light: TubeLight, model: str, watts: float) -> Law:
         for begin, end, reaches in pieces:
             total += np.where(reaches, piece(begin, end), 0.0)
         beside = (line.begin > 0.0) | (line.begin + length < 0.0)
-        # On the axis beyond the ends nothing is seen of a Lambertian tube. Inside there is no answer.
-        total[beside & (line.distance == 0.0)] = 0.0 if model == LAMBERT else np.nan
+        if model == LAMBERT:  # of which nothing is seen on the axis beyond the ends
+            total[beside & (line.distance == 0.0)] = 0.0
+        # Inside there is no answer.
         total[~beside & ((line.distance < light.radius) | (line.distance == 0.0))] = np.nan
         return total * per_metre
 

@@ -10,97 +10,17 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from shadow_tracer.scene.bounds import Bounds
-from shadow_tracer.scene.checks import (
-    LARGEST,
-    BoundsError,
-    FloatArray,
-    all_three,
-    name_of,
-    refuse_mask,
-    rigid_pose,
-    unusable_vertices,
-)
+from shadow_tracer.scene.checks import BoundsError, FloatArray, name_of, rigid_pose, truth
+from shadow_tracer.scene.mesh_checks import IntArray, equal, triangles_of, usable, vertices_of
+from shadow_tracer.scene.some import Some
 from shadow_tracer.scene.surface import BoolArray, organised
 
-IntArray = npt.NDArray[np.int32]
-
 _serial = itertools.count(1)
-
-
-def _own(array: npt.NDArray[Any], dtype: Any) -> npt.NDArray[Any]:
-    """A copy of ``array`` that nobody else can change; the array itself if nobody can."""
-    if array.dtype == dtype and array.flags.c_contiguous and array.flags.owndata and not array.flags.writeable:
-        return array
-    return np.array(array, dtype=dtype, order="C")
-
-
-def _vertices(value: Any) -> FloatArray:
-    """(V, 3) positions, finite or not."""
-    refuse_mask(value, "vertices")
-    try:
-        array = np.asarray(value)
-    except ValueError as error:
-        raise ValueError(f"vertices: expected an array of shape (V, 3), got {type(value).__name__}") from error
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"vertices: expected shape (V, 3), got {array.shape}")
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"vertices: expected real numbers, got dtype {array.dtype}")
-    return cast(FloatArray, _own(array, np.float64))
-
-
-def _usable(vertices: FloatArray, triangles: IntArray, nonfinite: str) -> FloatArray:
-    """The vertices, read-only, with NaN for those that are not finite or too large; "refuse" allows these only where no
-    triangle uses them."""
-    if nonfinite not in ("refuse", "skip"):
-        raise ValueError(f"nonfinite: expected 'refuse' or 'skip', got {nonfinite!r}")
-    # NaN comes out of min and max and fails the comparison.
-    if vertices.size and not (vertices.min() >= -LARGEST and vertices.max() <= LARGEST):
-        bad = unusable_vertices(vertices, triangles)
-        if nonfinite == "refuse" and len(bad):
-            raise ValueError(
-                f"vertices: expected finite coordinates of at most {LARGEST:g}, got {vertices[bad[0]].tolist()} at "
-                f"vertex {bad[0]} (nonfinite='skip' keeps such a mesh and lets the triangles at such vertices cast "
-                "nothing)"
-            )
-        good = all_three(np.abs(vertices) <= LARGEST)
-        vertices = np.where(good[:, None], vertices, np.nan)
-    vertices.setflags(write=False)
-    return vertices
-
-
-def _triangles(value: Any, vertex_count: int) -> IntArray:
-    refuse_mask(value, "triangles")
-    try:
-        array = np.asarray(value)
-    except ValueError as error:
-        raise ValueError(f"triangles: expected an array of shape (T, 3), got ragged {type(value).__name__}") from error
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"triangles: expected shape (T, 3), got {array.shape}")
-    if array.size and array.dtype.kind not in "iu":
-        raise ValueError(f"triangles: expected integer indices, got dtype {array.dtype}")
-    if array.size:
-        low, high = array.min(), array.max()
-        if low < 0 or high >= vertex_count:
-            outside = (array < 0) | (array >= vertex_count)
-            row, column = (int(k) for k in np.argwhere(outside)[0])
-            raise ValueError(
-                f"triangles: expected indices from 0 to {vertex_count - 1}, got {int(array[row, column])} "
-                f"at triangle {row}, corner {column}"
-            )
-    triangles = _own(array, np.int32)
-    triangles.setflags(write=False)
-    return triangles
-
-
-def _equal(a: IntArray, b: IntArray) -> bool:
-    # Other triangles mostly differ from the first on; that is told without reading all of them.
-    return np.array_equal(a[:64], b[:64]) and np.array_equal(a, b)
 
 
 @dataclass(frozen=True)
@@ -112,6 +32,7 @@ class _Positions:
     pose: FloatArray
     vertices_revision: int
     pose_revision: int
+    cast_shadows: bool
 
 
 class Mesh:
@@ -125,6 +46,7 @@ class Mesh:
         triangles: IntArray,
         pose: FloatArray,
         grid: tuple[int, int] | None = None,
+        cast_shadows: bool = True,
     ) -> None:
         self.name = name
         """Name within its scene."""
@@ -135,7 +57,7 @@ class Mesh:
         """(T, 3) int32 zero-based vertex indices."""
         self.topology_revision = next(_serial)
         """Changes when the triangles change."""
-        self._positions = _Positions(vertices, pose, self.topology_revision, self.topology_revision)
+        self._positions = _Positions(vertices, pose, self.topology_revision, self.topology_revision, cast_shadows)
         self._degenerate: tuple[int, int] | None = None
 
     @property
@@ -147,6 +69,12 @@ class Mesh:
     def pose(self) -> FloatArray:
         """(4, 4) float64 rigid transform from the mesh's frame to the world."""
         return self._positions.pose
+
+    @property
+    def cast_shadows(self) -> bool:
+        """Whether it is an occluder. If not, it is seen by depth cameras, has normals and receives a dose as before,
+        but is in the way of nothing: neither of light nor of cones."""
+        return self._positions.cast_shadows
 
     @property
     def vertices_revision(self) -> int:
@@ -194,6 +122,7 @@ class Scene:
         self._meshes: dict[str, Mesh] = {}
         self._revision = next(_serial)  # always changed before the meshes: no change goes unnoticed
         self._counts = (0, 0, 0)  # a revision, and what triangles and vertices there were
+        self._occluders: Some | None = None
 
     @property
     def revision(self) -> int:
@@ -215,6 +144,13 @@ class Scene:
         """Vertices of all meshes."""
         return self._counted()[2]
 
+    @property
+    def occluders(self) -> Some:
+        """The meshes that cast shadows, in their order."""
+        if self._occluders is None or self._occluders.revision != self._revision:
+            self._occluders = Some([mesh for mesh in self if mesh.cast_shadows], self._revision)
+        return self._occluders
+
     def __contains__(self, name: object) -> bool:
         return name in self._meshes
 
@@ -230,7 +166,15 @@ class Scene:
         except KeyError:
             raise ValueError(f"name: expected one of {list(self._meshes)}, got {name!r}") from None
 
-    def put(self, name: str, vertices: Any, triangles: Any, pose: Any = None, nonfinite: str = "refuse") -> Mesh:
+    def put(
+        self,
+        name: str,
+        vertices: Any,
+        triangles: Any,
+        pose: Any = None,
+        nonfinite: str = "refuse",
+        cast_shadows: bool = True,
+    ) -> Mesh:
         """Add a mesh or replace the one of that name.
 
         Replacing with equal triangles is a deformation: what depends only on topology is kept.
@@ -242,18 +186,21 @@ class Scene:
             pose: (4, 4) rigid transform to the world; identity if None.
             nonfinite: "refuse" triangles at vertices with NaN, infinity or coordinates beyond 1e50, or "skip": such
                 triangles cast nothing. Such vertices are stored as NaN; one that no triangle uses never matters.
+            cast_shadows: whether it is an occluder; see :meth:`cast_shadows`.
 
         Raises:
             ValueError: an argument is malformed; the message names it and the first fault's position.
             BoundsError: the scene would exceed ``bounds.max_triangles``.
         """
         name_of(name, "name")
-        new_vertices = _vertices(vertices)
-        new_triangles = _triangles(triangles, len(new_vertices))
-        new_vertices = _usable(new_vertices, new_triangles, nonfinite)
-        return self._put(name, new_vertices, new_triangles, pose, None)
+        new_vertices = vertices_of(vertices)
+        new_triangles = triangles_of(triangles, len(new_vertices))
+        new_vertices = usable(new_vertices, new_triangles, nonfinite)
+        return self._put(name, new_vertices, new_triangles, pose, None, cast_shadows)
 
-    def put_surface(self, name: str, positions: Any, valid: Any = None, pose: Any = None) -> Mesh:
+    def put_surface(
+        self, name: str, positions: Any, valid: Any = None, pose: Any = None, cast_shadows: bool = True
+    ) -> Mesh:
         """Add an organised surface or replace what has that name: the two triangles of each quad between neighbouring
         rows and columns; ``scene/surface.py`` says along which diagonal quads are cut.
 
@@ -265,6 +212,7 @@ class Scene:
             positions: (R, C, 3) real numbers [m], R and C at least 1, or a :class:`HeightField`. Copied.
             valid: (R, C) truth values: which positions count; None is all, of a height field all that have a height.
             pose: (4, 4) rigid transform to the world; identity if None.
+            cast_shadows: whether it is an occluder; see :meth:`cast_shadows`.
 
         Raises:
             ValueError: an argument is malformed; the message names it and the first fault's position.
@@ -273,7 +221,7 @@ class Scene:
         name_of(name, "name")
         surface = organised(positions, valid)
         self._check_capacity(name, len(surface.vertices), surface.triangle_count)
-        return self._put(name, surface.vertices, surface.triangles(), pose, surface.grid)
+        return self._put(name, surface.vertices, surface.triangles(), pose, surface.grid, cast_shadows)
 
     def deform_surface(self, name: str, positions: Any, valid: Any = None) -> None:
         """Give a surface new positions, and a new mask.
@@ -298,24 +246,31 @@ class Scene:
         if np.array_equal(surface.valid, known):
             self._position(mesh, vertices=surface.vertices, vertices_revision=next(_serial))
         else:
-            self._put(name, surface.vertices, surface.triangles(), mesh.pose, mesh.grid)
+            self._put(name, surface.vertices, surface.triangles(), mesh.pose, mesh.grid, mesh.cast_shadows)
 
     def _put(
-        self, name: str, vertices: FloatArray, triangles: IntArray, pose: Any, grid: tuple[int, int] | None
+        self,
+        name: str,
+        vertices: FloatArray,
+        triangles: IntArray,
+        pose: Any,
+        grid: tuple[int, int] | None,
+        cast_shadows: bool,
     ) -> Mesh:
-        """Store what has been checked, the pose and the capacity aside."""
+        """Store what has been checked; pose, flag and capacity are checked here."""
+        casts = truth(cast_shadows, "cast_shadows")
         new_pose = rigid_pose(np.eye(4) if pose is None else pose, "pose")
         new_pose.setflags(write=False)
         totals = self._check_capacity(name, len(vertices), len(triangles))
         old = self._meshes.get(name)
         revision = self._revision = next(_serial)
         same = old is not None and old.grid == grid and len(old.vertices) == len(vertices)
-        if old is not None and same and _equal(old.triangles, triangles):
+        if old is not None and same and equal(old.triangles, triangles):
             moved = not np.array_equal(old.pose, new_pose)
             pose, pose_revision = (new_pose, revision) if moved else (old.pose, old.pose_revision)
-            old._positions = _Positions(vertices, pose, revision, pose_revision)
+            old._positions = _Positions(vertices, pose, revision, pose_revision, casts)
         else:
-            self._meshes[name] = Mesh(name, vertices, triangles, new_pose, grid)
+            self._meshes[name] = Mesh(name, vertices, triangles, new_pose, grid, casts)
         self._counts = (revision, *totals)
         return self._meshes[name]
 
@@ -332,6 +287,18 @@ class Scene:
         new_pose.setflags(write=False)
         self._position(mesh, pose=new_pose, pose_revision=next(_serial))
 
+    def cast_shadows(self, name: str, casts: bool) -> None:
+        """Let a mesh cast shadows, or not: a lamp's glass, a net, a mark on the floor. What does not is in the way of
+        nothing, and is seen by depth cameras and receives a dose as before. ``ignore`` of a light is for what casts
+        none in that light alone.
+
+        Raises:
+            ValueError: no mesh of that name, or not a truth value.
+        """
+        mesh, wanted = self[name], truth(casts, "casts")
+        if mesh.cast_shadows != wanted:
+            self._position(mesh, cast_shadows=wanted)
+
     def deform(self, name: str, vertices: Any, nonfinite: str = "refuse") -> None:
         """Give a mesh new vertex positions, (V, 3) [m], with the triangles it has.
 
@@ -342,14 +309,14 @@ class Scene:
         mesh = self[name]
         if mesh.grid is not None:
             raise ValueError(f"name: {name!r} is a surface; use deform_surface()")
-        new_vertices = _vertices(vertices)
+        new_vertices = vertices_of(vertices)
         if len(new_vertices) != len(mesh.vertices):
             raise ValueError(
                 f"vertices: expected {len(mesh.vertices)} as mesh {name!r} has, got {len(new_vertices)}; "
                 "use put() to replace it"
             )
-        usable = _usable(new_vertices, mesh.triangles, nonfinite)
-        self._position(mesh, vertices=usable, vertices_revision=next(_serial))
+        good = usable(new_vertices, mesh.triangles, nonfinite)
+        self._position(mesh, vertices=good, vertices_revision=next(_serial))
 
     def remove(self, name: str) -> None:
         """Remove a mesh. Raises ValueError if there is none of that name."""

@@ -69,7 +69,8 @@ def cut(mesh: Mesh, max_edge: float, side: str = "front") -> Texels:
         raise ValueError(f"part: expected a mesh with a surface, got {mesh.name!r}, whose triangles have no area")
     most = MOST_TEXELS // (2 if side == "both" else 1)
     # No triangle with such edges has more than an equilateral one's area; so many are needed at least.
-    least = area.sum() / (0.4331 * max_edge * max_edge)
+    with np.errstate(divide="ignore", over="ignore"):
+        least = area.sum() / (0.4331 * max_edge * max_edge)
     while True:
         edges = corners[:, [1, 2, 0]] - corners
         lengths = (edges * edges).sum(axis=2)

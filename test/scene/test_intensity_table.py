@@ -9,47 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lamps import ies
 
 from shadow_tracer import IntensityTable
-
-_FILE = """IESNA:LM-63-2002
-[TEST] none
-[TESTLAB] none
-[ISSUEDATE] 2026
-[MANUFAC] nobody
-TILT=NONE
-1 -1 {multiplier} {vertical} {horizontal} {kind} 2 0 0 0
-{ballast} 1 0
-{angles}
-{around}
-{values}
-"""
-
-
-def ies(
-    folder: Path,
-    around: tuple[float, ...] = (0.0,),
-    values: Any = ((100.0, 50.0, 0.0),),
-    kind: int = 1,
-    multiplier: float = 1.0,
-    ballast: float = 1.0,
-) -> Path:
-    """A file of the vertical angles 0, 45 and 90 degrees."""
-    path = folder / "lamp.ies"
-    rows = "\n".join(" ".join(f"{value:g}" for value in row) for row in values)
-    path.write_text(
-        _FILE.format(
-            multiplier=multiplier,
-            vertical=3,
-            horizontal=len(around),
-            kind=kind,
-            ballast=ballast,
-            angles="0 45 90",
-            around=" ".join(f"{angle:g}" for angle in around),
-            values=rows,
-        )
-    )
-    return path
 
 
 def test_directions() -> None:
@@ -85,6 +47,8 @@ def test_power_of_what_is_known() -> None:
         ({"values": [[1.0, -1.0]]}, "values: expected intensities"),
         ({"values": [[0.0, 0.0]]}, "values: expected intensities"),
         ({"values": [[1.0, math.nan]]}, "values: expected finite numbers"),
+        ({"values": [["1", "1"]]}, "values: expected real numbers"),
+        ({"vertical": np.ma.masked_greater([0.0, 1.0], 0.5)}, "vertical: expected an array without masked values"),
         ({"axis": (0, 0, 0)}, "axis: expected a direction"),
         ({"zero": (0, 1, 1)}, "zero: expected a direction at right angles"),
         (

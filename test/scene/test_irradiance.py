@@ -75,6 +75,11 @@ def test_a_tube_seen_from_its_end_and_from_inside() -> None:
     glow = replace(TUBE, strength=Strength(power=15.0, model="isotropic"))
     expected = 15.0 / (4.0 * math.pi) * (1.0 / 1.5 - 1.0 / 2.5)
     assert at(glow, (2.0, 1e-9, 0.0), (-1.0, 0.0, 0.0)) == pytest.approx(expected, rel=1e-6)
+    for bits in (lamps.ALL, 2**32 - 1):
+        assert math.isnan(at(glow, (0.1, 0.0, 0.0), (0.0, 1.0, 0.0), bits)), "within it"
+    assert at(glow, (2.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 2**64 - 1) == pytest.approx(expected, rel=1e-14)
+    assert at(glow, (-2.0, 0.0, 0.0), (3.0, 4.0, 0.0)) == pytest.approx(0.6 * expected, rel=1e-14)
+    assert at(glow, (2.0, 0.0, 0.0), (1.0, 0.0, 0.0)) == at(glow, (2.0, 0.0, 0.0), (0.0, 1.0, 0.0)) == 0.0
 
 
 @pytest.mark.parametrize("height", [0.05, 0.2, 0.5, 1.0, 3.0])

@@ -128,7 +128,7 @@ def _play(player: Player, recording: Recording) -> Result:
 def _advice(recording: Recording, background: Background, settings: Settings, result: Result) -> list[str]:
     """What was doubtful, a sentence each."""
     from shadow_tracer.apps.bag.reader import MESHES
-    from shadow_tracer.ros.node.processing import ignoring_nothing
+    from shadow_tracer.ros.node.processing import named_in_vain
 
     said = [f"{text} ({count} frames)" for text, count in result.warnings.items()]
     said += [f"unknown, {count} times: {text}" for text, count in result.reasons.values()]
@@ -139,7 +139,7 @@ def _advice(recording: Recording, background: Background, settings: Settings, re
     if settings.uses_meshes and not recording.count(*MESHES) and not any(settings.mesh_files):
         topics = ", ".join(MESHES)
         said.append(f"the bag has no mesh ({topics}) and mesh.files is empty; see --remap")
-    if in_vain := ignoring_nothing(settings, result.parts):
+    if in_vain := named_in_vain(settings, result.parts):
         said.append(f"{in_vain}; correct the name")
     if result.passes > 1:
         said.append(

@@ -5,15 +5,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from shadow_tracer import ShadowTracer
 from shadow_tracer.apps.bag.names import Names
 from shadow_tracer.apps.bag.writer import Output
 from shadow_tracer.ros.node.answer import Answer
 from shadow_tracer.ros.settings import Settings
-from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_markers
-from shadow_tracer.ros.wire.dose_messages import STEP, cloud_rows, colored_chunks
+from shadow_tracer.ros.wire.cdr_markers import encode_markers
+from shadow_tracer.ros.wire.dose_messages import DoseMarkers, cloud_rows
 from shadow_tracer.ros.world.exposure import Exposure, folder_of
 from shadow_tracer.ros.world.scene_markers import world_name
 
@@ -39,7 +37,7 @@ class BagDose:
         self._output = output
         self._topics = [names.topic(topic) for topic in TOPICS]
         self._exposure = Exposure()
-        self._sent: dict[tuple[str, int], bytes] = {}
+        self._drawn = DoseMarkers()
 
     def note(self, answer: Answer, now_ns: int, camera_frame: str) -> None:
         """An image was answered at a time of the log [ns]."""
@@ -65,14 +63,8 @@ class BagDose:
         target, shown = self._settings.dose_target, self._exposure.shown()
         cloud, markers, coverage, done = self._topics
         if world:
-            rows = [cloud_rows(each, target) for each in shown.values()]
-            together = np.concatenate(rows) if rows else np.zeros(0, np.dtype(f"V{STEP}"))
-            self._output.cloud(cloud, now_ns, together, header.stamp, world)
-            message: list[MarkerMessage] = []
-            for part, each in shown.items():
-                pose = each.pose()
-                corners = each.corners @ pose[:3, :3].T + pose[:3, 3]
-                message += colored_chunks(part, each, target, world, corners, self._sent)
+            self._output.cloud(cloud, now_ns, cloud_rows(shown, target), header.stamp, world)
+            message = self._drawn.message(shown, target, world)
             if message:
                 self._output.raw(markers, now_ns, "visualization_msgs/msg/MarkerArray", encode_markers(message))
         self._output.value(coverage, now_ns, "std_msgs/msg/Float32", self._exposure.coverage(target))

@@ -21,10 +21,11 @@ from shadow_tracer.gpu.device.shared import Shared
 from shadow_tracer.gpu.device.transfers import HostCopies
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
-from shadow_tracer.gpu.occluders.world import SceneBuffers, Some
+from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, Query
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
 from shadow_tracer.scene.mesh import Mesh
+from shadow_tracer.scene.some import Some
 
 
 class _Copy:

@@ -246,7 +246,7 @@ class Engine:
         Raises:
             BoundsError: none is free.
         """
-        frames = kinds_of(Source.of(depth, bias).name, lights, scene.triangle_count > 0)
+        frames = kinds_of(Source.of(depth, bias).name, lights, scene.occluders.triangle_count > 0)
         return self._trace(
             lambda tracer: tracer.trace_depth(scene, depth, camera, lights, bias, cull), verify, frames, samples
         )
@@ -264,7 +264,7 @@ class Engine:
     ) -> Traced:
         """States of (N, 3) finite points, N at most ``bounds.max_rays``; those that are not ``valid`` are INVALID, None
         is all valid. As ``trace_depth`` otherwise."""
-        frames = kinds_of(None, lights, scene.triangle_count > 0)
+        frames = kinds_of(None, lights, scene.occluders.triangle_count > 0)
         trace = partial(
             FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid, cull=cull
         )

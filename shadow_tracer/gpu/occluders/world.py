@@ -13,7 +13,7 @@ holds more than it need.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,6 +30,7 @@ from shadow_tracer.gpu.occluders.slots import Range, Ranges, Room, merged
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, all_three
 from shadow_tracer.scene.mesh import Mesh, Scene
+from shadow_tracer.scene.some import Some
 
 # Gaps of more than this share of what there is are closed.
 _WASTE = 0.5
@@ -79,23 +80,6 @@ def transform_blocks(
     transform_block(row0, row1, row2, first, begin, wp.min(begin + _BLOCK, local.shape[0]), local, world)
 
 
-class Some:
-    """Some of the meshes of a scene.
-
-    Args:
-        revision: changes whenever one of them does, or which they are.
-    """
-
-    def __init__(self, meshes: Sequence[Mesh], revision: int) -> None:
-        self._meshes = meshes
-        self.revision = revision
-        self.triangle_count = sum(len(mesh.triangles) for mesh in meshes)
-        self.vertex_count = sum(len(mesh.vertices) for mesh in meshes)
-
-    def __iter__(self) -> Iterator[Mesh]:
-        return iter(self._meshes)
-
-
 @dataclass
 class _Part:
     """Where a mesh lies in the buffers, and which of its revisions is there."""
@@ -127,7 +111,8 @@ class SceneBuffers:
     """The scene on the device: vertices local and in the world (float64), corner indices.
 
     Args:
-        ordered: whether meshes always lie end to end in their order, for those to whom triangles' numbers matter.
+        ordered: for those who see all meshes, whether they cast shadows or not, and to whom triangles' numbers matter:
+            meshes always lie end to end in their order.
 
     Attributes:
         made: what is made of the scene alone, once for all that ask about it.
@@ -157,13 +142,14 @@ class SceneBuffers:
         self._whole = False  # whether what is said here is so
 
     def sync(self, scene: Scene | Some) -> None:
-        """Copy what changed in ``scene`` since the last call; all of it after a call that raised."""
+        """Copy what changed in ``scene`` since the last call, of the meshes that cast shadows; all of it after a call
+        that raised."""
         if self._whole and scene.revision == self._copied:
             return
         if not self._whole:
             self._begin_anew()
         self._whole = False
-        self._copy(scene)
+        self._copy(scene.occluders if isinstance(scene, Scene) and not self._ordered else scene)
         self._whole = True
 
     def changed_since(self, revision: Revision | None) -> Changed:

@@ -271,12 +271,14 @@ class Core:
         lights = answer.traced.lights if answer.traced is not None else ()
         if self.exposure.note(settings, tracer, lights, self.now_ns()):
             self.show_dose(answer.frame.image.header.stamp)
+            if self.exposure.trouble:  # diagnostics have that of the last exposure alone
+                self.node.get_logger().warning(self.exposure.trouble, throttle_duration_sec=5.0)
 
     def show_dose(self, stamp: Any = None) -> None:
         """Publish what parts have received; ``stamp``: None is now."""
         world = world_name(self.settings, self.inputs.camera_frame)
         stamp = self.node.get_clock().now().to_msg() if stamp is None else stamp
-        self.dose.publish(self.exposure, self.settings, stamp, world, time.monotonic())
+        self.dose.publish(self.exposure, self.settings, stamp, world)
 
     def _note_choice(self, choice: str) -> None:
         """Log when pipeline auto has changed its mind."""
@@ -307,9 +309,10 @@ class Core:
             self.node.get_logger().warning(text, throttle_duration_sec=5.0)
 
     def _mark(self) -> None:
-        inputs = self.inputs
+        inputs, now = self.inputs, time.monotonic()
+        self.dose.mark(self.exposure, self.settings, world_name(self.settings, inputs.camera_frame), now)
         if self.markers.step(
-            self.settings, inputs.camera_frame, inputs.last_stamp, time.monotonic(), self.now_ns()
+            self.settings, inputs.camera_frame, inputs.last_stamp, now, self.now_ns()
         ):  # the rest between other work: frames must not wait for it
             if self._drawing.is_canceled():
                 self._drawing.reset()

@@ -7,20 +7,17 @@ from array import array
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Bool, Float32
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from shadow_tracer import DoseMap
 from shadow_tracer.ros.node import qos
 from shadow_tracer.ros.settings import Settings
-from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_markers
-from shadow_tracer.ros.wire.dose_messages import FIELDS, STEP, cloud_rows, colored_chunks
+from shadow_tracer.ros.wire.cdr_markers import encode_markers
+from shadow_tracer.ros.wire.dose_messages import FIELDS, STEP, DoseMarkers, cloud_rows
 from shadow_tracer.ros.world.exposure import Exposure
-from shadow_tracer.ros.world.scene_markers import CLEARED
 
 if TYPE_CHECKING:
     from shadow_tracer.ros.node.core import Core
@@ -29,7 +26,7 @@ _MARKING = 1.0  # least time between two messages of markers [s]
 
 
 class DoseOutputs:
-    """The publishers, of whom only the small ones send what nobody listens to."""
+    """The publishers. Cloud and markers are made for subscribers alone."""
 
     def __init__(self, node: Node) -> None:
         def publisher(kind: Any, name: str, profile: Any) -> Any:
@@ -39,44 +36,42 @@ class DoseOutputs:
         self.markers = publisher(MarkerArray, "markers", qos.latched())
         self.coverage = publisher(Float32, "coverage", qos.latched())
         self.done = publisher(Bool, "done", qos.latched())
-        self._sent: dict[tuple[str, int], bytes] = {}
+        self._drawn = DoseMarkers()
         self._listeners = 0
         self._marked = float("-inf")
 
-    def publish(self, exposure: Exposure, settings: Settings, stamp: Any, world: str, now: float) -> None:
-        """Send how things are.
+    def publish(self, exposure: Exposure, settings: Settings, stamp: Any, world: str) -> None:
+        """Send how things are, but for the markers.
 
         Args:
             stamp: of the image with which this was found.
-            world: name of the frame that everything is in; "" has none, and cloud and markers are not sent.
-            now: steady time [s].
+            world: name of the frame that everything is in; "" has none, and the cloud is not sent.
         """
-        target, shown = settings.dose_target, exposure.shown()
+        target = settings.dose_target
         self.coverage.publish(Float32(data=exposure.coverage(target)))
         self.done.publish(Bool(data=exposure.done(settings)))
         if world and self.cloud.get_subscription_count():
-            self.cloud.publish(_cloud(shown, target, stamp, world))
+            self.cloud.publish(_cloud(cloud_rows(exposure.shown(), target), stamp, world))
+
+    def mark(self, exposure: Exposure, settings: Settings, world: str, now: float) -> None:
+        """Send the markers that are new, all of them to those who came, at most once a second; called all the time.
+
+        Args:
+            world: as for :meth:`publish`; without a name nothing is sent.
+            now: steady time [s].
+        """
         listeners = self.markers.get_subscription_count()
         if not world or not listeners or now - self._marked < _MARKING:
             self._listeners = min(self._listeners, listeners)
             return
-        self._marked = now
-        message: list[MarkerMessage] = []
-        if listeners > self._listeners or {part for part, _ in self._sent} - set(shown):
-            self._sent.clear()  # whoever came has seen nothing
-            message.append(CLEARED)
-        self._listeners = listeners
-        for part, each in shown.items():
-            pose = each.pose()
-            corners = each.corners @ pose[:3, :3].T + pose[:3, 3]
-            message += colored_chunks(part, each, target, world, corners, self._sent)
+        came = listeners > self._listeners  # who have seen nothing
+        self._marked, self._listeners = now, listeners
+        message = self._drawn.message(exposure.shown(), settings.dose_target, world, everything=came)
         if message:
             self.markers.publish(encode_markers(message))
 
 
-def _cloud(shown: dict[str, DoseMap], target: float, stamp: Any, world: str) -> PointCloud2:
-    rows = [cloud_rows(each, target) for each in shown.values()]
-    data = np.concatenate(rows) if rows else np.zeros(0, np.dtype(f"V{STEP}"))
+def _cloud(data: Any, stamp: Any, world: str) -> PointCloud2:
     cloud = PointCloud2(
         height=1,
         width=len(data),

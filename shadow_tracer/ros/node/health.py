@@ -25,7 +25,7 @@ from shadow_tracer.ros.diagnostics import (
 from shadow_tracer.ros.node.answer import MOST_BITS, Answer
 from shadow_tracer.ros.node.health_inputs import Verdict, judge_depth, judge_mesh
 from shadow_tracer.ros.node.inputs import Inputs
-from shadow_tracer.ros.node.processing import Processor, ignoring_nothing
+from shadow_tracer.ros.node.processing import Processor, named_in_vain
 from shadow_tracer.ros.node.queries import MOST_LIGHTS, Queries
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.world.exposure import Exposure
@@ -260,9 +260,9 @@ class Health:
             )
         if self.exposure.trouble:
             return self.exposure.trouble
-        in_vain = ignoring_nothing(settings, self.inputs.meshes.store.parts)
-        if in_vain:
-            return f"{in_vain}; correct the name, or publish the part"
+        vain = named_in_vain(settings, self.inputs.meshes.store.parts)
+        if vain:
+            return f"{vain}; correct the name, or publish the part"
         if len(settings.lights) > MOST_BITS and settings.mask_publish == "always":
             return f"light_bits has {MOST_BITS} bits and is not published for {len(settings.lights)} lights; name fewer"
         if len(settings.lights) > MOST_LIGHTS and queries.answered:

@@ -20,7 +20,7 @@ from shadow_tracer.ros.wire.messages import Intrinsics, MessageError, intrinsics
 from shadow_tracer.ros.wire.parts import Part
 from shadow_tracer.ros.world.frames import Frames, Poses
 from shadow_tracer.ros.world.lighting import Lighting, Lit
-from shadow_tracer.ros.world.mesh_store import MeshStore
+from shadow_tracer.ros.world.mesh_store import MeshStore, is_named
 from shadow_tracer.scene.depth_mesh import depth_mesh
 
 if TYPE_CHECKING:
@@ -126,13 +126,14 @@ class Processor:
 
     def _follow(self, settings: Settings, scene: Scene, poses: Poses, parts: Mapping[str, Part] | None) -> None:
         forget_surface(scene, settings)
+        how = scene, poses, settings.mesh_frame, settings.uses_meshes, parts, settings.mesh_cast_no_shadows
         try:
-            self._meshes.update(scene, poses, settings.mesh_frame, settings.uses_meshes, parts)
+            self._meshes.update(*how)
         except BoundsError:
             if DEPTH_PART not in scene:
                 raise
             scene.remove(DEPTH_PART)  # that of the image before, which is replaced anyway, may be in the way
-            self._meshes.update(scene, poses, settings.mesh_frame, settings.uses_meshes, parts)
+            self._meshes.update(*how)
 
     def _trace(
         self, settings: Settings, tracer: ShadowTracer, frame: WaitingFrame, job: _Job, watch: StopWatch
@@ -210,14 +211,17 @@ def forget_surface(scene: Scene, settings: Settings) -> None:
         scene.remove(DEPTH_PART)
 
 
-def ignoring_nothing(settings: Settings, parts: Iterable[str]) -> str:
-    """Which enabled light is to ignore a part that there is not, and the parts there are; "" if there is none."""
-    known = [*parts, DEPTH_PART]
-    for light in settings.enabled_lights:
-        for name in light.ignore:
-            if not any(key == name or key.startswith(f"{name}/") for key in known):
-                some = ", ".join(known[:8]) + (", ..." if len(known) > 8 else "")
-                return f"lights.{light.name}.ignore names {name!r}, but the parts are {some}"
+def named_in_vain(settings: Settings, parts: Iterable[str]) -> str:
+    """Which part that there is not is to cast no shadow, in all lights or in one, and the parts there are; "" if there
+    is none."""
+    known = [*parts]
+    wishes = [("mesh.cast_no_shadows", settings.mesh_cast_no_shadows, known)]
+    wishes += [(f"lights.{each.name}.ignore", each.ignore, [*known, DEPTH_PART]) for each in settings.enabled_lights]
+    for parameter, names, there in wishes:
+        for name in names:
+            if not any(is_named(key, [name]) for key in there):
+                some = ", ".join(there[:8]) + (", ..." if len(there) > 8 else "")
+                return f"{parameter} names {name!r}, but the parts are {some or 'none'}"
     return ""
 
 

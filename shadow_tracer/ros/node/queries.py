@@ -145,7 +145,9 @@ class Queries:
         to_world = poses.frame_to_world(header.frame_id, "header.frame_id of query")
         lit = self._lighting.at(settings, poses, stamp)
         forget_surface(tracer.scene, settings)
-        self._meshes.update(tracer.scene, poses, settings.mesh_frame, settings.uses_meshes)
+        self._meshes.update(
+            tracer.scene, poses, settings.mesh_frame, settings.uses_meshes, silent=settings.mesh_cast_no_shadows
+        )
         points = query.points[known] @ to_world[:3, :3].T + to_world[:3, 3]
         bits = np.zeros(len(points), np.uint32)
         if not lit.lights:

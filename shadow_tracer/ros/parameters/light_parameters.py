@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from shadow_tracer import Strength
+from shadow_tracer import IntensityTable, Strength
 from shadow_tracer.ros.parameters.parameter_rows import (
     BOOL,
     DOUBLE,
@@ -21,7 +21,9 @@ from shadow_tracer.ros.parameters.parameter_rows import (
     ParameterError,
     convert,
 )
+from shadow_tracer.ros.parameters.photometry import table_of
 from shadow_tracer.ros.settings import LIGHT_TYPES, LightSettings, SunSettings
+from shadow_tracer.scene.intensity_table import LARGEST_EFFICACY, UNITS
 from shadow_tracer.scene.strength import MODELS, QUANTITIES
 from shadow_tracer.scene.sun import parse_time
 
@@ -80,6 +82,16 @@ LIGHT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("model", STRING, "",
               "How intensity falls with the angle: alike everywhere, or with the cosine. Empty: lambert of lights with "
               "a size, isotropic of point and spot.", allowed=("", *MODELS)),
+    Parameter("ies.file", STRING, "",
+              "IES LM-63 file of type C, in the place of model: a path, file:// or package://<package>/...; vertical "
+              "angles count from direction, horizontal ones from the part of axis across it. Without power, intensity "
+              "or exitance it says these, too. Empty is none. Needs photompy (extra photometry)."),
+    Parameter("ies.unit", STRING, "",
+              "What the numbers of the file are, whatever it calls them; set it before the file, or together.",
+              allowed=("", *UNITS)),
+    Parameter("ies.lumens_per_watt", DOUBLE, 0.0,
+              "Luminous flux of a watt of the lamp's radiation, which its spectrum says; needed for cd and for it "
+              "alone, 0 else. Of ultraviolet and infrared there is none.", "lm/W", 0.0, LARGEST_EFFICACY),
     Parameter("output", DOUBLE, 1.0,
               "Factor of power, intensity, exitance or irradiance, for age, dirt, warming up and dimming.",
               low=0.0, high=1.0),
@@ -114,7 +126,10 @@ def light_from(name: str, values: Mapping[str, Any]) -> LightSettings:
     try:
         light.light(np.eye(4))
     except ValueError as error:  # a strength that this type cannot have
-        raise ParameterError(f"lights.{name}.{str(error).removeprefix('strength.')}") from error
+        field, _, rest = str(error).removeprefix("strength.").partition(":")
+        if field == "model" and values.get(f"lights.{name}.ies.file"):
+            field = "ies.file"
+        raise ParameterError(f"lights.{name}.{field}:{rest}") from error
     return light
 
 
@@ -122,9 +137,14 @@ def _strength_from(name: str, keys: dict[str, Any]) -> Strength | None:
     """Take what makes a strength out of the values by key."""
     given = {quantity: value for quantity in QUANTITIES if (value := keys.pop(quantity)) > 0.0}
     model, output = keys.pop("model") or None, keys.pop("output")
+    file, unit, lumens = (keys.pop(f"ies.{key}") for key in ("file", "unit", "lumens_per_watt"))
     if len(given) > 1:
         raise ParameterError(f"lights.{name}.{list(given)[1]}: expected 0 beside {list(given)[0]}, got both")
-    return Strength(**given, model=model, output=output) if given else None
+    if not file:
+        return Strength(**given, model=model, output=output) if given else None
+    if model is not None:
+        raise ParameterError(f"lights.{name}.model: expected '' beside ies.file, got {model!r}")
+    return Strength(**given, model=table_of(name, file, unit, lumens), output=output)
 
 
 def _check(light: LightSettings) -> None:
@@ -140,10 +160,11 @@ def _check(light: LightSettings) -> None:
             f"lights.{light.name}.radius: expected at least {_LEAST_RADIUS:g} m for type {light.type}, got "
             f"{light.radius:g}"
         )
-    if light.type == "rectangle":
+    table = light.strength is not None and isinstance(light.strength.model, IntensityTable)
+    if light.type == "rectangle" or table:
         way, axis = (np.asarray(vector) / np.linalg.norm(vector) for vector in (light.direction, light.axis))
         if np.linalg.norm(np.cross(way, axis)) < 1e-3:
             raise ParameterError(
-                f"lights.{light.name}.axis: expected another line than direction {list(light.direction)} for type "
-                f"rectangle, got {list(light.axis)}"
+                f"lights.{light.name}.axis: expected another line than direction {list(light.direction)} for "
+                f"{'ies.file' if table else 'type rectangle'}, got {list(light.axis)}"
             )

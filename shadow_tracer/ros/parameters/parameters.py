@@ -100,6 +100,9 @@ PARAMETERS: tuple[Parameter, ...] = (
               "paths, file:// or package://<package>/...; [''] is none."),
     Parameter("mesh.files_scale", DOUBLE, 0.0,
               "Length of a file's unit; 0 takes the unit that is written in the file, or metres.", "m", 0.0, 1e6),
+    Parameter("mesh.cast_no_shadows", STRINGS, ("",),
+              "Parts that cast no shadow in any light, named as in lights.<name>.ignore: glass, nets, marks. They are "
+              "drawn, have normals and receive a dose as before. [''] is none."),
     Parameter("depth_image_transport", STRING, "raw",
               "raw takes images from depth/image_rect, compressedDepth packed ones (PNG, RVL) from "
               "depth/image_rect/compressedDepth.", allowed=("raw", "compressedDepth")),
@@ -265,8 +268,10 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     except ValueError as error:  # of two that do not fit together
         raise ParameterError(str(error)) from error
     del checked["light_names"]  # lights has them
-    for name in ("mesh.files", "dose.parts"):
+    for name in ("mesh.files", "mesh.cast_no_shadows", "dose.parts"):
         checked[name] = tuple(item for item in checked[name] if item)
+    if len(set(checked["dose.parts"])) != len(checked["dose.parts"]):  # twice the dose
+        raise ParameterError(f"dose.parts: expected different names, got {list(checked['dose.parts'])}")
     fields = {_FIELDS.get(name, name.replace(".", "_")): value for name, value in checked.items()}
     return Settings(**{**fields, "lights": lights})
 

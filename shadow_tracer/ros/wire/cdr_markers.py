@@ -72,6 +72,9 @@ class MarkerMessage:
     colors: npt.NDArray[np.float32] = field(default_factory=_no_colors)
 
 
+CLEARED = MarkerMessage(action=DELETEALL)
+
+
 def parse_marker(data: bytes, max_triangles: int) -> MarkerMessage:
     """Parse the bytes of a visualization_msgs/Marker.
 

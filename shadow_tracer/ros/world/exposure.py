@@ -13,9 +13,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from urllib.parse import quote
 
-from shadow_tracer import BoundsError, DoseMap, ShadowTracer
+from shadow_tracer import DoseMap, IntensityTable, ShadowTracer
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.scene.lights import Light
+from shadow_tracer.scene.strength import QUANTITIES
 
 LONGEST = 1.0  # between two images [s]
 PERIOD = 1.0  # of exposures [s]
@@ -37,8 +38,11 @@ class Exposure:
         self._lights: tuple[Light, ...] = ()
 
     def configure(self, old: Settings, new: Settings) -> None:
-        """Forget the maps of parts that are no longer named, and all where texels are other ones now."""
+        """Forget the maps of parts that are no longer named, and all where texels are other ones now. What a part
+        receives counts from the next image on."""
         same = (old.dose_max_edge, old.dose_side) == (new.dose_max_edge, new.dose_side)
+        if not same or old.dose_parts != new.dose_parts:
+            self.pause()
         self.maps = {part: self.maps[part] for part in new.dose_parts if same and part in self.maps}
         self.trouble = ""
 
@@ -65,15 +69,11 @@ class Exposure:
             self.pause()
             seconds = 0.0
         self._last = now_ns
-        added = self._names(strong) != self._names(self._lights) and self._flush(settings, tracer)
+        added = _kinds(strong) != _kinds(self._lights) and self._flush(settings, tracer)
         self._lights = strong
         if strong:
             self._waiting += seconds
         return (self._waiting >= PERIOD and self._flush(settings, tracer)) or added
-
-    @staticmethod
-    def _names(lights: Iterable[Light]) -> list[tuple[str, object]]:
-        return [(light.name, light.strength) for light in lights]
 
     def _flush(self, settings: Settings, tracer: ShadowTracer) -> bool:
         """Add what waits. False if there is nothing."""
@@ -81,7 +81,7 @@ class Exposure:
         if not self._lights or seconds <= 0.0:
             return False
         troubles = [self._expose(settings, tracer, part, seconds) for part in settings.dose_parts]
-        self.trouble = next((text for text in troubles if text), "")
+        self.trouble = "; ".join(text for text in troubles if text)
         return True
 
     def _expose(self, settings: Settings, tracer: ShadowTracer, part: str, seconds: float) -> str:
@@ -100,7 +100,7 @@ class Exposure:
             if part not in self.maps:
                 self.maps[part] = DoseMap(tracer, part, settings.dose_max_edge, side=settings.dose_side)
             self.maps[part].add(self._lights, seconds)
-        except (BoundsError, ValueError) as error:
+        except ValueError as error:
             return f"dose of {part!r}: {error}"
         return trouble
 
@@ -134,7 +134,8 @@ class Exposure:
             each.tracer = None
 
     def reset(self) -> int:
-        """No dose anywhere; how many maps there were."""
+        """No dose anywhere, nor from the time before; how many maps there were."""
+        self.pause()
         for each in self.maps.values():
             each.reset()
         return len(self.maps)
@@ -157,18 +158,36 @@ class Exposure:
         """Go on with the maps in ``dose.folder``, of each part in ``dose.parts``; all of them or none.
 
         Raises:
-            ValueError: there is no folder, a file is missing or broken, or the part's mesh is another one now.
+            ValueError: there is no folder, no part is named, a file is missing, broken or of another part, or the
+                part's mesh is another one now.
         """
         folder = folder_of(settings)
-        maps = {part: DoseMap.load(_path(folder, part), tracer) for part in settings.dose_parts}
+        if not settings.dose_parts:
+            raise ValueError("dose.parts: expected names of the parts whose dose maps are loaded, got none")
+        maps = {part: DoseMap.load(_path(folder, part)) for part in settings.dose_parts}
         for part, each in maps.items():
-            if (each.part, each.max_edge, each.side) != (part, settings.dose_max_edge, settings.dose_side):
+            if each.part != part:
+                raise ValueError(f"part: expected {part!r} in {str(_path(folder, part))!r}, got {each.part!r}")
+            each.attach(tracer)
+            if (each.max_edge, each.side) != (settings.dose_max_edge, settings.dose_side):
                 raise ValueError(
                     f"dose.max_edge, dose.side: expected {each.max_edge:g} and {each.side} as in the file of {part!r}"
                 )
         self.maps = maps
         self.pause()
         return len(maps)
+
+
+def _kinds(lights: Iterable[Light]) -> list[tuple[object, ...]]:
+    """What of lights makes an exposure end when it changes: not where they are, nor how their tables hang."""
+    kinds: list[tuple[object, ...]] = []
+    for light in lights:
+        strength = light.strength
+        assert strength is not None
+        model = strength.model
+        kind = id(model.values) if isinstance(model, IntensityTable) else model  # of lights that are kept
+        kinds.append((light.name, *(getattr(strength, name) for name in QUANTITIES), strength.output, kind))
+    return kinds
 
 
 def folder_of(settings: Settings) -> Path:

@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from shadow_tracer.ros.settings import FloatArray, LightSettings, Settings
-from shadow_tracer.ros.wire.cdr_markers import ARROW, LINE_LIST, SPHERE, TEXT, MarkerMessage
+from shadow_tracer.ros.wire.cdr_markers import ARROW, CLEARED, LINE_LIST, SPHERE, TEXT, MarkerMessage
 from shadow_tracer.ros.wire.messages import frame_name
 from shadow_tracer.ros.world.lighting import Lighting
-from shadow_tracer.ros.world.scene_markers import CLEARED
 
 _ON, _OFF = (1.0, 0.85, 0.3, 1.0), (0.45, 0.45, 0.45, 0.7)
 _BULB = 0.06  # diameter of a light without a size [m]

@@ -7,7 +7,7 @@ at the next frame, and only what differs from what it has is copied. No ROS here
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Protocol
@@ -157,6 +157,7 @@ class MeshStore:
         mesh_frame: str,
         shown: bool = True,
         parts: Mapping[str, Part] | None = None,
+        silent: Sequence[str] = (),
     ) -> None:
         """Bring the scene up to date, copying only what is new. Meshes of the scene that are not parts stay.
 
@@ -166,6 +167,7 @@ class MeshStore:
             mesh_frame: frame of parts without one.
             shown: False removes all parts from the scene.
             parts: a snapshot to be shown; None is the parts of now.
+            silent: parts that cast no shadows; a name stands for all that begin with it and a slash.
 
         Raises:
             Missing: the frame of a part cannot be found; the scene is as before.
@@ -193,6 +195,8 @@ class MeshStore:
                     scene.remove(part.key)
             for part in wanted.values():
                 self._apply(scene, part, poses[part.key])
+        for key in wanted:
+            scene.cast_shadows(key, not is_named(key, silent))
 
     def placed(self, part: Part) -> tuple[str, FloatArray] | None:
         """World and (4, 4) pose in it of a part that stays where its frame was once; None until a frame needed it."""
@@ -233,6 +237,11 @@ class MeshStore:
             scene.move(part.key, pose)
             self.updates["move"] += scene[part.key].pose_revision != revision
         self._shown[part.key] = part, pose
+
+
+def is_named(key: str, names: Iterable[str]) -> bool:
+    """Whether one of the names is that of a part, or how it begins before a slash."""
+    return any(key == name or key.startswith(f"{name}/") for name in names)
 
 
 def _product(frame: FloatArray, pose: FloatArray) -> FloatArray:

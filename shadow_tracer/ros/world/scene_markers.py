@@ -14,13 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from shadow_tracer.ros.settings import FloatArray, Settings
-from shadow_tracer.ros.wire.cdr_markers import DELETEALL, LINE_LIST, TEXT, MarkerMessage, MarkersWriter
+from shadow_tracer.ros.wire.cdr_markers import CLEARED, LINE_LIST, TEXT, MarkerMessage, MarkersWriter
 from shadow_tracer.ros.wire.messages import frame_name, quaternion_of
 from shadow_tracer.ros.world.mesh_store import MeshStore
 
 TURN = 16_384  # triangles between two breaks: 1 to 5 ms
 _EACH = 512  # triangles that take as long as what each part costs, however small
-CLEARED = MarkerMessage(action=DELETEALL)
 _COLOUR = (0.55, 0.6, 0.68, 1.0)
 _BOX_COLOUR = (0.95, 0.5, 0.1, 1.0)
 _LONGEST_NAME = 80

@@ -16,7 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from shadow_tracer import DoseMap, PointLight, ShadowTracer, Strength
 from shadow_tracer.ros.diagnostics import PROCESSING, WARN
-from shadow_tracer.scene.dose_colors import colors_of
+from shadow_tracer.scene.dose_colors import NEVER, colors_of
 
 pytestmark = pytest.mark.slow  # exposures are added once a second
 PARAMETERS = {
@@ -78,6 +78,11 @@ def test_dose_of_a_part(tmp_path: Path) -> None:
         before = made.dose.copy()
         assert call(rig, "save").success and (tmp_path / "mesh.dose.npz").exists()
         assert call(rig, "reset").success and (made.dose == 0.0).all()
+        grey = np.array(NEVER, np.float32) / np.float32(255.0)
+        rig.until(lambda: {(c.r, c.g, c.b) for c in heard["markers"][-1].markers[-1].colors} == {tuple(grey.tolist())})
+        late: list[MarkerArray] = []
+        rig.listen(MarkerArray, "shadow_tracer/dose/markers", late)  # and no more images
+        rig.until(lambda: late and late[-1].markers[0].action == Marker.DELETEALL and len(late[-1].markers) == 2)
         answer = call(rig, "load")
         assert answer.success, answer.message
         assert np.array_equal(rig.core.exposure.maps["mesh"].dose, before)
@@ -86,7 +91,7 @@ def test_dose_of_a_part(tmp_path: Path) -> None:
         assert not answer.success and answer.message.startswith("dose.folder: expected a folder")
 
 
-def test_a_part_that_nobody_publishes_is_told() -> None:
+def test_a_part_that_is_not_published_is_reported() -> None:
     with Rig({**PARAMETERS, "dose.parts": ["wall"]}) as rig:
         rig.send_mesh(*plate())
         coverage = rig.collect(Float32, "shadow_tracer/dose/coverage")

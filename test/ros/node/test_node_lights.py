@@ -7,8 +7,10 @@ import math
 import sys
 from collections.abc import Iterator
 from datetime import datetime, timezone
+from pathlib import Path
 from typing import Any
 
+import lamps
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
@@ -21,6 +23,7 @@ from shadow_tracer import (
     DirectionalLight,
     DiscLight,
     Frame,
+    IntensityTable,
     PointLight,
     RectangleLight,
     ShadowTracer,
@@ -375,6 +378,27 @@ def test_what_a_light_ignores(tracer: ShadowTracer) -> None:
         rig.wait_status(PROCESSING, WARN, "lights.lamp.ignore names 'shade', but the parts are mesh, depth")
 
 
+def test_a_part_that_casts_no_shadow(tracer: ShadowTracer) -> None:
+    """It gives normals as before; and begins to cast when it is no longer named."""
+    with Rig({"mesh.cast_no_shadows": ["mesh"], "lights.lamp.power": 4.0}) as rig:
+        heard = rig.collect(Image, "shadow_tracer/irradiance/lamp")
+        rig.send_mesh(*plate())
+        stamp = rig.send_frame(wall())
+        light = PointLight("lamp", (0.5, -0.5, 0.0), strength=Strength(power=4.0))
+        tracer.scene.cast_shadows("mesh", False)
+        frame = tracer.trace(wall(), camera(), [light], bias=BIAS)
+        seen = frame.irradiance()
+        tracer.scene.cast_shadows("mesh", True)
+        np.testing.assert_array_equal(rig.mask_of(stamp), frame.mask())
+        np.testing.assert_array_equal(irradiance_of(rig, heard, stamp), seen)
+        assert (frame.mask() == np.where(np.isfinite(wall()) & (wall() > 0), 255, 0)).all()
+        assert rig.set(mesh__cast_no_shadows=["markers", "mesh"]) == ""
+        rig.trace(wall())
+        rig.wait_status(PROCESSING, WARN, "mesh.cast_no_shadows names 'markers', but the parts are mesh")
+        assert rig.set(mesh__cast_no_shadows=[""]) == ""
+        np.testing.assert_array_equal(rig.trace(wall()), expected(tracer, light).mask())
+
+
 def test_a_light_that_becomes_the_sun_leaves_the_pose_of_its_topic() -> None:
     pytest.importorskip("ephem")
     with Rig({**THREE, **EAST_NORTH_UP, "light_names": ["lamp"]}) as rig:
@@ -514,3 +538,22 @@ def test_every_parameter_of_a_strength(tracer: ShadowTracer) -> None:
             assert (found > 0.0).sum() > 100
             off = {"type": "point", **{key: default_of(f"lights.lamp.{key}") for key in group}}
             assert rig.set(**{f"lights__lamp__{key}": value for key, value in off.items()}) == ""
+
+
+def test_a_light_of_an_ies_file(tracer: ShadowTracer, tmp_path: Path) -> None:
+    """Refused, with the light as it was, while the unit is missing."""
+    pytest.importorskip("photompy")
+    path = lamps.ies(tmp_path, (0, 90, 180, 270, 360), [[9, 1, 0], [9, 2, 1], [9, 3, 1], [9, 4, 1], [9, 1, 0]])
+    with Rig({"lights.lamp.intensity": 2.0}) as rig:
+        heard = rig.collect(Image, "shadow_tracer/irradiance/lamp")
+        rig.send_mesh(*plate())
+        before = irradiance_of(rig, heard, rig.send_frame(wall()))
+        assert "lights.lamp.ies.unit: expected one of" in rig.set(lights__lamp__ies__file=str(path))
+        np.testing.assert_array_equal(irradiance_of(rig, heard, rig.send_frame(wall())), before)
+        wish = {"intensity": 0.0, "ies__file": str(path), "ies__unit": "cd", "ies__lumens_per_watt": 300.0}
+        assert rig.set(**{f"lights__lamp__{key}": value for key, value in wish.items()}) == ""
+        table = IntensityTable.from_ies(path, "cd", 300.0, (0, 0, 1), (1, 0, 0))
+        light = PointLight("lamp", (0.5, -0.5, 0.0), strength=Strength(model=table))
+        found = irradiance_of(rig, heard, rig.send_frame(wall()))
+        np.testing.assert_array_equal(found, tracer.trace(wall(), camera(), [light], bias=BIAS).irradiance())
+        assert (found > 0.0).sum() > 100

@@ -105,6 +105,7 @@ CHANGES: list[tuple[str, Any, dict[str, Any]]] = [
     ("lights.lamp.two_sided", True, {"lights.lamp.type": "disc", "lights.lamp.direction": [0.0, 0.0, -1.0]}),
     ("lights.lamp.angular_diameter", 0.1, {"lights.lamp.type": "directional"}),
     ("lights.lamp.ignore", ["mesh"], PLAIN),
+    ("mesh.cast_no_shadows", ["mesh"], PLAIN),
     ("lights.lamp.sun.latitude", 40.0, SUN),
     ("lights.lamp.sun.longitude", 20.0, SUN),
     ("lights.lamp.sun.time", "2026-06-21T10:00:00Z", SUN),
@@ -619,6 +620,10 @@ SHOWN_BELOW = {
     **{
         f"lights.lamp.{key}": test_node_lights.test_every_parameter_of_a_strength
         for key in ("power", "intensity", "exitance", "irradiance", "model", "output")
+    },
+    **{
+        f"lights.lamp.ies.{key}": test_node_lights.test_a_light_of_an_ies_file
+        for key in ("file", "unit", "lumens_per_watt")
     },
     **{
         f"dose.{key}": test_node_dose.test_dose_of_a_part

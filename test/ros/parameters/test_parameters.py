@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import lamps
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from shadow_tracer import (
     Bounds,
     DirectionalLight,
     DiscLight,
+    IntensityTable,
     PointLight,
     RectangleLight,
     SpotLight,
@@ -145,8 +148,12 @@ BAD = [
     ("lights.lamp.exitance", 1.0, "lights.lamp.exitance: a PointLight has none; expected power or intensity"),
     ("lights.lamp.irradiance", 1.0, "lights.lamp.irradiance: a PointLight has none; expected power or intensity"),
     ("lights.lamp.model", "phong", "lights.lamp.model: expected string ("),
+    ("lights.lamp.ies.file", "/nowhere.ies", "lights.lamp.ies.file: cannot find '/nowhere.ies': No such file"),
+    ("lights.lamp.ies.unit", "candela", 'lights.lamp.ies.unit: expected string ("", W/sr, mW/sr, uW/cm2 at 1 m, cd)'),
+    ("lights.lamp.ies.lumens_per_watt", 700.0, "lights.lamp.ies.lumens_per_watt: expected double (0 to 683.1 lm/W)"),
     ("lights.lamp.output", 1.1, "lights.lamp.output: expected double (0 to 1), got 1.1"),
     ("lights.lamp.angular_diameter", 1.6, "lights.lamp.angular_diameter: expected double (0 to"),
+    ("mesh.cast_no_shadows", "mesh", "mesh.cast_no_shadows: expected string array, got 'mesh'"),
     ("lights.lamp.ignore", "shade", "lights.lamp.ignore: expected string array, got 'shade'"),
     ("lights.lamp.sun.latitude", 90.5, "lights.lamp.sun.latitude: expected double (-90 to 90 deg), got 90.5"),
     ("lights.lamp.sun.longitude", -181.0, "lights.lamp.sun.longitude: expected double (-180 to 180 deg), got -181.0"),
@@ -169,6 +176,61 @@ def test_every_parameter_has_a_bad_value_above() -> None:
         *(row.name for row in parameters.PARAMETERS),
         *(f"lights.<name>.{row.name}" for row in parameters.LIGHT_PARAMETERS),
     }
+
+
+def test_ies_files_that_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each with the parameter that helps."""
+    pytest.importorskip("photompy")
+    (tmp_path / "broken.ies").write_text("IESNA:LM-63-2002\nTILT=NONE\n1 2\n")
+    good = {"ies.file": str(lamps.ies(tmp_path)), "ies.unit": "mW/sr"}
+    assert settings_from({f"lights.lamp.{key}": value for key, value in good.items()}).lights[0].strength
+    for change, message in (
+        ({"ies.unit": ""}, "ies.unit: expected one of 'W/sr', 'mW/sr', 'uW/cm2 at 1 m', 'cd', got ''"),
+        ({"ies.unit": "cd"}, "ies.lumens_per_watt: candela need it"),
+        ({"ies.lumens_per_watt": 300.0}, "ies.lumens_per_watt: belongs to the unit 'cd' alone"),
+        ({"ies.file": str(tmp_path / "broken.ies")}, "ies.file: expected a file of IES LM-63"),
+        ({"ies.file": str(tmp_path)}, f"ies.file: {tmp_path} is not a file"),
+        ({"ies.file": "package://no_such_package/lamp.ies"}, "ies.file: there is no package 'no_such_package'"),
+        ({"ies.file": "http://lamp.ies"}, "ies.file: expected a path, file:///... or package://..."),
+        ({"model": "lambert"}, "model: expected '' beside ies.file, got 'lambert'"),
+        ({"power": 1.0, "intensity": 1.0}, "intensity: expected 0 beside power, got both"),
+        ({"type": "sun"}, "ies.file: expected None of a DirectionalLight, got a table"),
+        ({"axis": [0, 0, -3]}, "axis: expected another line than direction [0.0, 0.0, 1.0] for ies.file"),
+    ):
+        with pytest.raises(ParameterError) as caught:
+            settings_from({f"lights.lamp.{key}": value for key, value in {**good, **change}.items()})
+        assert str(caught.value).startswith(f"lights.lamp.{message}")
+    monkeypatch.setitem(sys.modules, "photompy", None)
+    (tmp_path / "other").mkdir()
+    with pytest.raises(ParameterError, match=r"ies.file: IES files need photompy: pip install .*\[photometry\]"):
+        settings_from({"lights.lamp.ies.file": str(lamps.ies(tmp_path / "other")), "lights.lamp.ies.unit": "W/sr"})
+
+
+def test_an_ies_file_hangs_as_its_light_does(tmp_path: Path) -> None:
+    """Vertical angles count from direction, horizontal ones from axis, in whatever frame; the same file is the same
+    table, and another one under its name is another."""
+    pytest.importorskip("photompy")
+    path = lamps.ies(tmp_path, (0, 90, 180, 270, 360), [[9, 1, 0], [9, 2, 0], [9, 3, 0], [9, 4, 0], [9, 1, 0]])
+    values = {
+        "lights.lamp.ies.file": str(path), "lights.lamp.ies.unit": "W/sr", "lights.lamp.power": 7.0,
+        "lights.lamp.output": 0.5, "lights.lamp.direction": [0, 2, 0], "lights.lamp.axis": [3, 1, 0],
+    }  # fmt: skip
+    light = settings_from(values).lights[0]
+    assert light.strength is not None and light.strength.power == 7.0 and light.strength.output == 0.5
+    turned = np.array([[0.0, -1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]])
+    for pose in (np.eye(4), turned):
+        made = light.light(pose)
+        assert made.strength is not None and isinstance(made.strength.model, IntensityTable)
+        ways = np.array([(0.0, 9.0, 0.0), (3.0, 3.0, 0.0), (-2.0, 2.0, 0.0), (0.0, 4.0, -4.0), (0.0, 1.0, 1.0)])
+        found = made.strength.model.towards(ways @ pose[:3, :3].T)
+        # Seen against direction, from ahead of the light, angles grow from axis counter-clockwise.
+        assert found == pytest.approx([9.0, 1.0, 3.0, 4.0, 2.0])
+    again = settings_from({**values, "lights.lamp.output": 1.0}).lights[0].strength
+    assert again is not None and again.model is light.strength.model
+    other = lamps.ies(tmp_path, values=[[8, 1, 0]])
+    os.utime(other, ns=(0, 0))
+    changed = settings_from(values).lights[0].strength
+    assert changed is not None and isinstance(changed.model, IntensityTable) and changed.model.peak == 8.0
 
 
 def test_all_problems_come_at_once() -> None:

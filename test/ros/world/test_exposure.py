@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,8 @@ import geometry
 import numpy as np
 import pytest
 
-from shadow_tracer import Bounds, DoseMap, PointLight, ShadowTracer, Strength
+from shadow_tracer import Bounds, DoseMap, IntensityTable, PointLight, ShadowTracer, Strength
+from shadow_tracer.ros.parameters.parameter_rows import ParameterError
 from shadow_tracer.ros.parameters.parameters import settings_from
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.world.exposure import Exposure
@@ -78,6 +81,17 @@ def test_a_light_that_changes_counts_as_it_was(world: ShadowTracer) -> None:
     assert exposure.maps["floor"].dose == pytest.approx(one.dose, rel=1e-9)
 
 
+def test_a_table_that_turns_ends_no_exposure_and_another_one_does(world: ShadowTracer) -> None:
+    exposure, table = Exposure(), IntensityTable((0.0, 3.0), (0.0,), [[2.0, 1.0]])
+    for step in range(4):
+        turned = table.hung((0, math.sin(0.1 * step), -math.cos(0.1 * step)), (1, 0, 0))
+        lamp = PointLight("lamp", (0, 0, 2), strength=Strength(model=turned))
+        assert not exposure.note(settings(), world, [lamp], BEGIN + step * SECOND // 5)
+    other = replace(LAMP, strength=Strength(model=IntensityTable((0.0, 3.0), (0.0,), [[2.0, 1.0]])))
+    assert exposure.note(settings(), world, [other], BEGIN + 4 * SECOND // 5)
+    assert exposure.maps["floor"].seconds == pytest.approx(0.6)
+
+
 def test_parts_that_are_not_there_or_change(world: ShadowTracer) -> None:
     exposure = Exposure()
     world.scene.put("other", *geometry.square(2, 0.0, 0.5))
@@ -90,14 +104,17 @@ def test_parts_that_are_not_there_or_change(world: ShadowTracer) -> None:
     assert exposure.maps["floor"].seconds == 1.0 and not exposure.done(two)
     world.scene.put("floor", *geometry.square(2, 0.0, 2.0))
     assert exposure.shown() == {}
-    exposure.note(settings(), world, [LAMP], BEGIN + 2 * SECOND)
-    assert exposure.trouble == "part 'floor' has another mesh than before: its dose began again"
+    exposure.note(two, world, [LAMP], BEGIN + 2 * SECOND)
+    assert exposure.trouble == (
+        "part 'floor' has another mesh than before: its dose began again; "
+        "dose.parts names 'wall', but the parts are floor, other; correct the name, or publish the part"
+    )
     assert exposure.maps["floor"].seconds == 1.0 and exposure.maps["floor"].area.sum() == pytest.approx(16.0)
     exposure.note(settings(), world, [LAMP], BEGIN + 3 * SECOND)
     assert exposure.trouble == ""
 
 
-def test_a_part_that_cannot_be_cut_is_told(world: ShadowTracer) -> None:
+def test_a_part_that_cannot_be_cut_is_reported(world: ShadowTracer) -> None:
     exposure = Exposure()
     fine = settings(**{"dose.max_edge": 1e-4})
     for time in (0, SECOND):
@@ -113,6 +130,27 @@ def test_coverage_and_done(world: ShadowTracer) -> None:
     half = settings(**{"dose.target": float(np.median(dose)), "dose.goal": 0.5})
     assert exposure.done(half) and not exposure.done(settings(**{"dose.target": 1e6}))
     assert exposure.reset() == 1 and exposure.coverage(1e-6) == 0.0
+
+
+def test_time_before_a_reset_or_before_a_part_is_named_never_counts(world: ShadowTracer) -> None:
+    exposure = Exposure()
+    play(exposure, world, [0.0, 1.0, 1.9])
+    exposure.reset()
+    assert play(exposure, world, [2.0, 2.5, 2.9]) == [False, False, False], "0.9 s of the second were before"
+    assert play(exposure, world, [3.0]) == [True] and exposure.maps["floor"].seconds == pytest.approx(1.0)
+    play(exposure, world, [3.9])
+    world.scene.put("wall", *geometry.square(2, 0.5, 0.5))
+    two = settings(**{"dose.parts": ["floor", "wall"]})
+    exposure.configure(settings(), two)
+    for time in (4.0, 4.5, 5.0):
+        exposure.note(two, world, [LAMP], BEGIN + round(time * SECOND))
+    assert exposure.maps["wall"].seconds == pytest.approx(1.0)
+    assert exposure.maps["floor"].seconds == pytest.approx(2.0)
+
+
+def test_a_part_that_is_named_twice_would_have_twice_the_dose() -> None:
+    with pytest.raises(ParameterError, match=r"dose.parts: expected different names, got \['floor', 'floor'\]"):
+        settings(**{"dose.parts": ["floor", "", "floor"]})
 
 
 def test_settings_that_begin_again(world: ShadowTracer) -> None:
@@ -147,6 +185,13 @@ def test_saved_and_loaded_all_or_none(world: ShadowTracer, tmp_path: Path) -> No
         other.load(settings(**{"dose.parts": ["floor", "wall"], "dose.folder": str(tmp_path)}), world)
     with pytest.raises(ValueError, match=r"dose.max_edge, dose.side: expected 1 and front as in the file of 'floor'"):
         other.load(settings(**{"dose.max_edge": 0.5, "dose.folder": str(tmp_path)}), world)
+    with pytest.raises(
+        ValueError, match="dose.parts: expected names of the parts whose dose maps are loaded, got none"
+    ):
+        other.load(settings(**{"dose.parts": [""], "dose.folder": str(tmp_path)}), world)
+    (tmp_path / "floor.dose.npz").rename(tmp_path / "wall.dose.npz")
+    with pytest.raises(ValueError, match="part: expected 'wall' in '.*', got 'floor'"):
+        other.load(settings(**{"dose.parts": ["wall"], "dose.folder": str(tmp_path)}), world)
     assert other.maps is kept
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a mesh file is: names as in URDF."""
+"""Where a file is: names as in URDF."""
 
 from __future__ import annotations
 
@@ -14,39 +14,40 @@ from shadow_tracer.ros.wire.parts import PartError
 _INDEX = Path("share/ament_index/resource_index/packages")
 
 
-def locate(where: str) -> Path:
-    """Absolute path of a file that is named as in :func:`load_mesh_file`. Raises PartError if it is not there."""
+def locate(where: str, field: str = "mesh.files") -> Path:
+    """Absolute path of a file that is named as in :func:`load_mesh_file`. Raises PartError, which starts with the
+    field, if it is not there."""
     scheme = re.match(r"([A-Za-z][A-Za-z0-9+.-]*)://", where)
     if scheme is None:
         path = Path(os.path.expanduser(where))
     elif scheme[1] == "package":
-        path = _in_package(where)
+        path = _in_package(where, field)
     elif scheme[1] == "file" and urlsplit(where).netloc in ("", "localhost"):
         path = Path(unquote(urlsplit(where).path))
     else:
-        raise PartError(f"mesh.files: expected a path, file:///... or package://..., got {where!r}")
+        raise PartError(f"{field}: expected a path, file:///... or package://..., got {where!r}")
     try:
         path = path.absolute()
         if not stat.S_ISREG(path.stat().st_mode):
-            raise PartError(f"mesh.files: {path} is not a file")
+            raise PartError(f"{field}: {path} is not a file")
     except (OSError, ValueError) as error:
         if isinstance(error, PartError):
             raise
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise PartError(f"mesh.files: cannot find {str(path)!r}: {reason}") from error
+        raise PartError(f"{field}: cannot find {str(path)!r}: {reason}") from error
     return path
 
 
-def _in_package(where: str) -> Path:
+def _in_package(where: str, field: str) -> Path:
     name, _, rest = where.partition("://")[2].partition("/")
     if not name or not rest:
-        raise PartError(f"mesh.files: expected package://<package>/<path>, got {where!r}")
+        raise PartError(f"{field}: expected package://<package>/<path>, got {where!r}")
     try:
         prefix = _package_prefix(name)
     except (LookupError, OSError, ValueError) as error:
         paths = os.environ.get("AMENT_PREFIX_PATH", "")
         raise PartError(
-            f"mesh.files: there is no package {name!r} in AMENT_PREFIX_PATH, which is {paths!r}; source the setup file "
+            f"{field}: there is no package {name!r} in AMENT_PREFIX_PATH, which is {paths!r}; source the setup file "
             "of its workspace before the node starts"
         ) from error
     return Path(prefix) / "share" / name / unquote(rest)
