@@ -74,9 +74,7 @@ def perform(chosen: argparse.Namespace) -> int:
     sky = suns(stamps, where.place, seconds_of(chosen.every), irradiance)
     if chosen.gif and not sky.up():
         raise ValueError("--gif: expected times with the sun above the horizon, got none")
-    plan = make_plan(
-        where.grid, sky, model.source.read, chosen.tile, memory, chosen.height_above, chosen.beyond
-    )
+    plan = make_plan(where.grid, sky, model.source.read, chosen.tile, memory, chosen.height_above, chosen.beyond)
     if math.isnan(plan.ceiling):
         raise TerrainError(f"{chosen.dem.name}: heights: there is none, all of it is nodata")
     for line in _warnings(plan):
