@@ -63,7 +63,7 @@ def _sun(elevation: float, azimuth: float = _AZIMUTH, name: str = "sun") -> Dire
 
 
 class Terrain:
-    """Heights, and all who answer: a function from a sun to what is dark."""
+    """Heights, and the methods: of each a function from a sun to what is dark."""
 
     def __init__(self, name: str, above: float, cores: int) -> None:
         z, resolution = {"mars": _mars, "dem": _dem}[name]()

@@ -97,9 +97,13 @@ def reset(tracer: ShadowTracer) -> ShadowTracer:
     return tracer
 
 
-def trace_points(tracer: ShadowTracer, points: Any, lights: Any, bias: float = 0.0, valid: Any = None) -> Any:
-    """States of (N, 3) points, those that are not ``valid`` left out, with the counters that ``states_at`` drops."""
-    return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid, tracer.front_face_culling)
+def trace_points(
+    tracer: ShadowTracer, points: Any, lights: Any, bias: float = 0.0, valid: Any = None, samples: str | None = None
+) -> Any:
+    """States of (N, 3) points, those that are not ``valid`` left out, with the counters that ``states_at`` drops, by a
+    set of samples."""
+    cull = tracer.front_face_culling
+    return tracer._engine.trace_points(tracer.scene, points, lights, bias, valid, cull, samples=samples)
 
 
 # --- who traces ---
@@ -370,6 +374,15 @@ def lose_places(tracer: ShadowTracer) -> None:
     """Let no chart of ``height_field`` know where its positions are, until its surface changes."""
     accelerator: Any = pipeline(tracer)
     accelerator._charts.structure.beside.fill_(1.0e30)
+
+
+def spoil_charts(tracer: ShadowTracer) -> None:
+    """Damage what ``height_field`` has made of its surfaces and of the sun: it says that nothing is hidden."""
+    accelerator: Any = pipeline(tracer)
+    structure = accelerator._charts.structure
+    structure.heights.zero_()
+    structure.nodes.fill_(0xFFFF)
+    accelerator._sweeps.bounds.fill_(-1.0e30)
 
 
 def light_frame(tracer: ShadowTracer, light: Any) -> Any:

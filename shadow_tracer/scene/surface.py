@@ -232,7 +232,11 @@ def _grid(value: Any) -> FloatArray:
 
 def _mask(value: Any, rows: int, columns: int) -> BoolArray:
     refuse_mask(value, "valid")
-    array = np.asarray(value)
+    expected = f"expected truth values of shape {(rows, columns)}"
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"valid: {expected}, got {type(value).__name__}") from error
     if array.shape != (rows, columns) or array.dtype != np.bool_:
-        raise ValueError(f"valid: expected truth values of shape {(rows, columns)}, got {array.dtype} {array.shape}")
+        raise ValueError(f"valid: {expected}, got {array.dtype} {array.shape}")
     return cast(BoolArray, array.copy())

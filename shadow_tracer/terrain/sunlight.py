@@ -67,7 +67,7 @@ def sunlight(
         raise ValueError(f"height_field: expected a HeightField, got {type(height_field).__name__}")
     if not isinstance(place, Place):
         raise ValueError(f"place: expected a Place, got {type(place).__name__}")
-    check_options(above, beyond, tile)
+    check_options(above, beyond, tile, memory)
     grid = Grid.of(height_field, curvature).checked()
 
     def read(window: Window) -> npt.NDArray[np.float64]:
@@ -83,7 +83,7 @@ def sunlight(
     return found
 
 
-def check_options(above: float, beyond: str, tile: int) -> None:
+def check_options(above: float, beyond: str, tile: int, memory: float) -> None:
     """Raises:
     ValueError: one of them is malformed.
     """
@@ -93,6 +93,7 @@ def check_options(above: float, beyond: str, tile: int) -> None:
         raise ValueError(f"beyond: expected one of {', '.join(BEYOND)}, got {beyond!r}")
     if isinstance(tile, bool) or not isinstance(tile, (int, np.integer)) or not 16 <= tile <= 16_384:
         raise ValueError(f"tile: expected an integer from 16 to 16384, got {tile!r}")
+    finite(memory, "memory")  # how much is enough depends on the model, see make_plan
 
 
 def _coordinates(field: HeightField) -> tuple[dict[str, Any], tuple[str, str]]:

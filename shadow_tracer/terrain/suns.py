@@ -93,8 +93,8 @@ def suns(times: Iterable[Any], place: Place, interval: float | None = None, irra
     stamps = tuple(_stamp(when) for when in times)
     if not stamps or any(b <= a for a, b in zip(stamps, stamps[1:], strict=False)):
         raise ValueError("times: expected at least one, each later than the one before")
-    seconds = _seconds(stamps, interval)
     found = [sun_direction(stamp, place.latitude, place.longitude) for stamp in stamps]
+    seconds = _seconds(stamps, interval)
     light = np.array([direction for direction, _ in found])
     turn = math.radians(place.convergence)
     east, north = -light[:, 0], -light[:, 1]
@@ -114,7 +114,10 @@ def _stamp(when: Any) -> int:
         except ValueError as error:
             raise ValueError(f"times: {error}") from error
     if isinstance(when, np.datetime64):
-        return int(when.astype("datetime64[ns]").astype(np.int64))
+        exact = when.astype("datetime64[ns]")
+        if exact.astype(when.dtype) != when:  # NaT is not equal to itself
+            raise ValueError(f"times: expected times that whole nanoseconds since 1970 can say, got {when!r}")
+        return int(exact.astype(np.int64))
     if isinstance(when, datetime):
         past = (when if when.tzinfo else when.replace(tzinfo=timezone.utc)) - datetime(1970, 1, 1, tzinfo=timezone.utc)
         return (past.days * 86_400 + past.seconds) * _SECOND + past.microseconds * 1000

@@ -127,6 +127,7 @@ _NAN[1, 2, 0] = np.nan
             r"^valid: expected truth values of shape \(3, 3\)",
         ),
         ({"positions": _grid(3, 3), "valid": np.ones((3, 3))}, "^valid: expected truth values"),
+        ({"positions": _grid(3, 3), "valid": [[True], [True, False]]}, "^valid: expected truth values.*got list"),
         ({"positions": _grid(3, 3), "pose": np.zeros((4, 4))}, "^pose: "),
         ({"positions": _grid(9, 9)}, "^bounds.max_triangles: "),
         ({"positions": _grid(3, 3), "name": ""}, "^name: "),

@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.scene.sun import parse_time
+from shadow_tracer.scene.sun import FIRST_YEAR, LAST_YEAR, parse_time
 
 _EVERY = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h)")
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
@@ -54,12 +54,15 @@ def day_of(text: str, field: str) -> date:
     """A day like 2026-06-21.
 
     Raises:
-        ValueError: it is something else.
+        ValueError: it is something else, or of a year for which it is not known where the sun stands.
     """
     try:
-        return date.fromisoformat(text)
+        day = date.fromisoformat(text)
     except ValueError as error:
         raise ValueError(f"{field}: expected a day such as 2026-06-21, got {text!r}") from error
+    if not FIRST_YEAR <= day.year <= LAST_YEAR:
+        raise ValueError(f"{field}: expected the years {FIRST_YEAR} to {LAST_YEAR}, got {text!r}")
+    return day
 
 
 def times_of(first: date, last: date, every: float, zone: tzinfo) -> list[int]:

@@ -54,11 +54,11 @@ class Pictures:
         figure, image = self._figure(self._hours, "hours of direct sun [h]")
         figure.axes[0].set_title(self._title)
         image.set_clim(0.0, self._most())
-        figure.savefig(path, dpi=100)
+        figure.savefig(path, dpi=100, format="png")
 
-    def gif(self, path: Path, milliseconds: int = 120) -> int:
-        """A frame for each time with the sun up: hours of sun up to then, darker where it does not reach, grey where it
-        is unknown. Returns how many times there are from one frame to the next."""
+    def gif(self, path: Path, milliseconds: int = 120) -> None:
+        """A frame for each time with the sun up, of which there are some, or of many for every n-th: hours of sun up to
+        then, darker where it does not reach, grey where it is unknown."""
         from matplotlib import colormaps
         from PIL import Image
 
@@ -81,9 +81,8 @@ class Pictures:
             figure.canvas.draw()
             frame = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
             pictures.append(frame.quantize(256))
-        if pictures:
-            pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=milliseconds, loop=0)
-        return every if pictures else 0
+        more = {"append_images": pictures[1:], "duration": milliseconds, "loop": 0}
+        pictures[0].save(path, format="GIF", save_all=True, **more)
 
     def _most(self) -> float:
         return max(self._plan.suns.daylight / 3600.0, 1e-9)

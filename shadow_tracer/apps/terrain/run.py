@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import shutil
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from itertools import islice
@@ -22,6 +23,7 @@ import numpy as np
 from shadow_tracer import ShadowTracer, __version__
 from shadow_tracer.apps.terrain.georeference import TerrainError
 from shadow_tracer.apps.terrain.reading import Source
+from shadow_tracer.apps.terrain.writing import whole
 from shadow_tracer.terrain.plan import Plan, Window
 from shadow_tracer.terrain.tile import TileResult, solve, tracer_for
 
@@ -29,9 +31,7 @@ _FORMAT = 1  # of the files of tiles
 
 
 class Parts:
-    """A folder with a file for each tile that is done, and what they are answers to.
-
-    A file is written under another name and renamed, so that it is whole or not there.
+    """A folder with a file for each tile that is done, and what they are answers to; each is whole or not there.
 
     Args:
         folder: made if it is not there.
@@ -44,17 +44,20 @@ class Parts:
 
     def __init__(self, folder: Path, key: str, restart: bool) -> None:
         self._folder = folder
-        mark = folder / "run.json"
+        mark, ours = folder / "run.json", json.dumps({"key": key, "version": __version__}).encode()
+        known = mark.is_file() and mark.read_bytes() == ours
+        if known and not restart:
+            return
         if folder.exists():
-            known = mark.is_file() and json.loads(mark.read_text()).get("key") == key
-            if not known and not restart:
+            # A run that was interrupted before there was a mark has left nothing else.
+            if not restart and any(path.suffix != ".part" for path in folder.iterdir()):
                 raise TerrainError(
                     f"{folder}: holds tiles of a run with other options, or of another file; --restart throws them away"
                 )
-            if not known or restart:
-                shutil.rmtree(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        mark.write_text(json.dumps({"key": key, "version": __version__}))
+            shutil.rmtree(folder)
+        folder.mkdir(parents=True)
+        with whole(mark) as new:
+            new.write_bytes(ours)
 
     def path(self, number: int) -> Path:
         """The file of a tile."""
@@ -65,7 +68,7 @@ class Parts:
         try:
             with np.load(self.path(number), allow_pickle=False) as file:
                 return TileResult(*(file[each.name] for each in dataclasses.fields(TileResult)))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             return None
 
     def remove(self) -> None:
@@ -76,10 +79,8 @@ class Parts:
 def save(path: Path, result: TileResult) -> None:
     """Write a tile to its file, whole or not at all."""
     fields = {each.name: getattr(result, each.name) for each in dataclasses.fields(TileResult)}
-    new = path.with_suffix(".part")
-    with new.open("wb") as file:
+    with whole(path) as new, new.open("wb") as file:
         np.savez_compressed(file, **fields)
-    new.replace(path)
 
 
 def key_of(plan: Plan, path: Path, *options: Any) -> str:

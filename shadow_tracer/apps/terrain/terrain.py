@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from shadow_tracer.apps.terrain.pictures import Pictures
     from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput
 
+_OUTPUTS = "output", "codes", "png", "gif"
 NEEDED = ("ephem", "h5netcdf", "h5py", "matplotlib", "PIL", "rasterio", "rich", "xarray")
 
 _DESCRIPTION = """\
@@ -59,19 +60,21 @@ def perform(chosen: argparse.Namespace) -> int:
         ImportError, RuntimeError: the tracer cannot be made.
     """
     from shadow_tracer.apps.terrain.run import Parts, key_of, results, run
+    from shadow_tracer.apps.terrain.writing import whole
 
     start = time.monotonic()
     stamps = _times(chosen)
     irradiance = irradiance_of(chosen.irradiance, stamps)
-    check_options(chosen.height_above, chosen.beyond, chosen.tile)
+    memory = chosen.memory * 1e9
+    check_options(chosen.height_above, chosen.beyond, chosen.tile, memory)
     _check_outputs(chosen, len(stamps))
     model = open_model(chosen.dem, chosen.band, chosen.variable, chosen.resolution, chosen.nodata)
     given = _given(chosen)
     where = locate(chosen.dem.name, model.shape, model.transform, model.crs, given, chosen.curvature)
     sky = suns(stamps, where.place, seconds_of(chosen.every), irradiance)
-    plan = make_plan(
-        where.grid, sky, model.source.read, chosen.tile, chosen.memory * 1e9, chosen.height_above, chosen.beyond
-    )
+    if chosen.gif and not sky.up():
+        raise ValueError("--gif: expected times with the sun above the horizon, got none")
+    plan = make_plan(where.grid, sky, model.source.read, chosen.tile, memory, chosen.height_above, chosen.beyond)
     if math.isnan(plan.ceiling):
         raise TerrainError(f"{chosen.dem.name}: heights: there is none, all of it is nodata")
     for line in _warnings(plan):
@@ -83,15 +86,18 @@ def perform(chosen: argparse.Namespace) -> int:
         len(plan.tiles), lambda done: run(plan, model.source, parts, chosen.jobs, chosen.device, done)
     )
     with ExitStack() as stack:
+        # All files get their names at the end: none is in the way of the same command if this is interrupted.
+        paths = {name: getattr(chosen, name) for name in _OUTPUTS}
+        new = {name: stack.enter_context(whole(path)) for name, path in paths.items() if path is not None}
         pictures = _pictures(chosen, plan)
-        sinks = [_output(chosen, plan, where, model, stack).put, *([pictures.put] if pictures else [])]
+        sinks = [_output(chosen, new, plan, where, model, stack).put, *([pictures.put] if pictures else [])]
         for window, result in results(plan, parts):
             for put in sinks:
                 put(window, result)
-    if pictures and chosen.png:
-        pictures.png(chosen.png)
-    if pictures and chosen.gif:
-        pictures.gif(chosen.gif)
+        if pictures and chosen.png:
+            pictures.png(new["png"])
+        if pictures and chosen.gif:
+            pictures.gif(new["gif"])
     parts.remove()
     _summarise(chosen, plan, where, before, time.monotonic() - start)
     return 0
@@ -111,6 +117,7 @@ def _given(chosen: argparse.Namespace) -> tuple[float, float] | None:
 
 def _check_outputs(chosen: argparse.Namespace, times: int) -> None:
     from shadow_tracer.apps.terrain.pictures import MOST_TIMES
+    from shadow_tracer.apps.terrain.writing import MOST_BANDS
 
     if chosen.gif and times > MOST_TIMES:
         raise ValueError(f"--gif: expected at most {MOST_TIMES} times, got {times}")
@@ -120,10 +127,16 @@ def _check_outputs(chosen: argparse.Namespace, times: int) -> None:
         raise ValueError(f"-o: expected *.tif or *.nc, got {chosen.output}")
     if chosen.codes and (chosen.output.suffix == ".nc" or chosen.codes.suffix not in (".tif", ".tiff")):
         raise ValueError("--codes: expected *.tif, beside an output of *.tif (a *.nc has them already)")
-    for name in ("output", "codes", "png", "gif"):
+    if chosen.codes and times > MOST_BANDS:
+        raise ValueError(f"--codes: expected at most {MOST_BANDS} times, bands of a GeoTIFF, got {times}")
+    seen: set[Path] = set()
+    for name in _OUTPUTS:
         path = getattr(chosen, name)
         if path is None:
             continue
+        if path.resolve() in seen:
+            raise ValueError(f"--{name}: expected another file than those of the other options, got {path}")
+        seen.add(path.resolve())
         if path.exists() and chosen.dem.exists() and path.samefile(chosen.dem):
             raise TerrainError(f"{path}: is the model that is read; choose another name")
         if path.exists() and not chosen.overwrite:
@@ -154,14 +167,14 @@ def _with_progress(tiles: int, work: Callable[[Callable[[int], None]], int]) -> 
 
 
 def _output(
-    chosen: argparse.Namespace, plan: Plan, where: Georeference, model: Model, stack: ExitStack
+    chosen: argparse.Namespace, new: dict[str, Path], plan: Plan, where: Georeference, model: Model, stack: ExitStack
 ) -> NetCdfOutput | TiffOutput:
-    """What takes the tiles; all is written when the stack is closed."""
+    """What takes the tiles; all is written to the paths ``new`` when the stack is closed."""
     from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput
 
     if chosen.output.suffix == ".nc":
-        return stack.enter_context(NetCdfOutput(chosen.output, plan, where))
-    return stack.enter_context(TiffOutput(chosen.output, chosen.codes, plan, where, model.point))
+        return stack.enter_context(NetCdfOutput(new["output"], plan, where))
+    return stack.enter_context(TiffOutput(new["output"], new.get("codes"), plan, where, model.point))
 
 
 def _pictures(chosen: argparse.Namespace, plan: Plan) -> Pictures | None:
@@ -184,9 +197,9 @@ def _summarise(chosen: argparse.Namespace, plan: Plan, where: Georeference, befo
           f"{strength} W/m2 at a right angle to the rays")  # fmt: skip
     resumed = f", {before} of them from the run before" if before else ""
     print(f"{len(plan.tiles)} tiles{resumed}, {seconds:.1f} s")
-    for path in (chosen.output, chosen.codes, chosen.png, chosen.gif):
-        if path is not None:
-            print(path)
+    for name in _OUTPUTS:
+        if getattr(chosen, name) is not None:
+            print(getattr(chosen, name))
 
 
 def _options() -> argparse.ArgumentParser:

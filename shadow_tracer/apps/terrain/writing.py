@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -16,12 +17,24 @@ from shadow_tracer.terrain.plan import Plan, Window
 from shadow_tracer.terrain.tile import TileResult
 
 _BLOCK = 256  # pixels of a GeoTIFF's blocks
+MOST_BANDS = 65_535
+"""Of a GeoTIFF."""
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """The name of a file while it is written: it gets ``path`` when all is in it, and goes if that fails."""
+    new = path.with_name(path.name + ".part")
+    try:
+        yield new
+        new.replace(path)
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
 
 
 class TiffOutput:
     """A GeoTIFF of the sums, a band for each, and one of the codes, a band for each time.
-
-    Files have the name ``*.part`` until all is in them.
 
     Args:
         path: of the sums.
@@ -57,7 +70,7 @@ class TiffOutput:
         tiled = {"tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK} if min(grid.rows, grid.columns) > 64 else {}
         file = self._stack.enter_context(
             rasterio.open(
-                _part(path), "w", driver="GTiff", height=grid.rows, width=grid.columns, count=len(bands), dtype=dtype,
+                path, "w", driver="GTiff", height=grid.rows, width=grid.columns, count=len(bands), dtype=dtype,
                 crs=self._where.crs, transform=rasterio.Affine(*self._where.transform), nodata=nodata,
                 compress="deflate", predictor=predictor, BIGTIFF="IF_SAFER", **tiled,
             )
@@ -78,15 +91,6 @@ class TiffOutput:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._stack.close()
-        for path in self._paths:
-            if kind is None:
-                _part(path).replace(path)
-            else:
-                _part(path).unlink(missing_ok=True)
-
-
-def _part(path: Path) -> Path:
-    return path.with_name(path.name + ".part")
 
 
 class NetCdfOutput:
@@ -112,9 +116,7 @@ class NetCdfOutput:
             for name in ("sun_code", "sunlit", *(layer.name for layer in LAYERS)):
                 found[name].attrs["grid_mapping"] = "spatial_ref"
         packed = {name: {"zlib": True} for name, each in found.data_vars.items() if each.ndim >= 2}
-        new = _part(self._path)
-        found.to_netcdf(new, engine="h5netcdf", encoding=packed)
-        new.replace(self._path)
+        found.to_netcdf(self._path, engine="h5netcdf", encoding=packed)
 
 
 def coordinates(where: Georeference) -> tuple[dict[str, Any], tuple[str, str]]:

@@ -4,7 +4,7 @@
 That is right because answers only ever go one way, from lit to in shadow (``visibility/answers.py``): each shows the
 rays the triangles of its part that could matter, in whichever order, and together these are all.
 
-The part that is left aside is copied once more, into buffers with numbers and records of their own: so the other
+The part that is left aside is copied once more, into buffers with their own numbers and records: so the other
 accelerator never sees the rest of the scene, and no record is made of that.
 """
 
@@ -62,7 +62,7 @@ class Rest:
         self._waiting = None if forms.wide(device) else WaitingPairs(bounds.max_rays, bounds.queue_capacity, device)
 
     def follow(self, meshes: Sequence[Mesh]) -> None:
-        """These they are."""
+        """Take these meshes, as they are now."""
         scene = self._copy.scene
         scene.leave_out(())
         scene.sync(Some(meshes, self._whole.scene.copied))

@@ -24,8 +24,8 @@ struct InPlace1 {
     static inline bool same(const wp::vec3d& p, const wp::vec3d& q) {
         return p[0] == q[0] && p[1] == q[1] && p[2] == q[2];
     }
-    // Whether it is certain that a triangle does not hide the ray. Most of those around a sample are told so, whose own
-    // surface would go to exact arithmetic: it is in their planes.
+    // Whether it is certain that a triangle does not hide the ray. It is for most of those around a sample, which would
+    // go to exact arithmetic, as the sample lies in their planes.
     inline bool misses(const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) const {
         const wp::vec4d& at = sample();
         const wp::vec3d p(at[0], at[1], at[2]);

@@ -69,6 +69,7 @@ def test_bad_files_of_irradiance_are_refused_with_the_line(tmp_path, text, messa
         (lambda: irradiance_of("bright", [0]), "^--irradiance: expected a number of W/m2 or a CSV file"),
         (lambda: zone_of("+15:00"), "^--tz: expected a zone"),
         (lambda: day_of("21.6.2026", "--date"), "^--date: expected a day such as"),
+        (lambda: day_of("9999-12-31", "--until"), "^--until: expected the years 1900 to 2100"),
         (lambda: times_of(DAY, date(2026, 6, 20), 900.0, zone_of("UTC")), "^--until: expected 2026-06-21 or later"),
         (lambda: times_of(DAY, date(2126, 6, 20), 900.0, zone_of("UTC")), "^--every: expected at most 100000 times"),
     ],

@@ -15,9 +15,10 @@ for _name in ("ephem", "h5netcdf", "h5py", "matplotlib", "PIL", "rasterio", "ric
     pytest.importorskip(_name, reason="needs the extra: pip install 'shadow_tracer[terrain]'")
 
 from shadow_tracer import HeightField, Place, sunlight  # noqa: E402
-from shadow_tracer.apps.terrain import run, terrain  # noqa: E402
+from shadow_tracer.apps.terrain import pictures, run, terrain  # noqa: E402
 from shadow_tracer.apps.terrain.georeference import TerrainError  # noqa: E402
 from shadow_tracer.apps.terrain.reading import open_model  # noqa: E402
+from shadow_tracer.terrain.tile import TileResult  # noqa: E402
 
 DAY = ["--date", "2026-03-20", "--every", "2h", "--device", "cpu"]
 
@@ -125,6 +126,61 @@ def test_an_interrupted_run_goes_on_and_gives_the_same_bytes(model, monkeypatch,
     assert out.read_bytes() == whole
 
 
+def test_a_tile_that_has_changed_on_the_disk_is_not_believed(tmp_path, model) -> None:
+    """Each byte of the compressed numbers, in the middle of the file: all that a reader may say of it."""
+    folder, result = tmp_path / "parts", TileResult(*(np.arange(400.0).reshape(20, 20) for _ in range(5)))
+    parts = run.Parts(folder, "key", False)
+    run.save(parts.path(0), result)
+    good = parts.path(0).read_bytes()
+    assert parts.load(0) is not None
+    for place in range(40, len(good) // 4, 7):
+        parts.path(0).write_bytes(good[:place] + bytes([good[place] ^ 0xFF]) + good[place + 1 :])
+        found = parts.load(0)
+        assert found is None or np.array_equal(found.codes, result.codes), place
+
+
+@pytest.mark.parametrize("left", ["nothing", "a part", "no mark", "half a mark", "another's"])
+def test_what_a_run_leaves_that_was_interrupted_at_its_begin(tmp_path, left) -> None:
+    folder = tmp_path / "parts"
+    whole = run.Parts(folder, "key", False)
+    run.save(whole.path(0), TileResult(*(np.zeros((1, 1)) for _ in range(5))))
+    mark = folder / "run.json"
+    if left in ("nothing", "a part"):
+        whole.remove()
+        folder.mkdir()
+        if left == "a part":
+            (folder / "run.json.part").write_text("{")
+        assert run.Parts(folder, "key", False).load(0) is None
+        assert [path.name for path in folder.iterdir()] == ["run.json"]
+        return
+    text = {"no mark": None, "half a mark": mark.read_text()[:9], "another's": "[]"}[left]
+    mark.unlink()
+    if text is not None:
+        mark.write_text(text)
+    with pytest.raises(TerrainError, match="holds tiles of a run with other options, or of another file; --restart"):
+        run.Parts(folder, "key", False)
+    assert whole.load(0) is not None, "nothing is thrown away"
+    assert run.Parts(folder, "key", True).load(0) is None
+
+
+def test_the_same_command_goes_on_after_an_interrupt_while_files_are_written(model, monkeypatch, capsys) -> None:
+    """None of them is there yet, which would be refused."""
+    gif, names = pictures.Pictures.gif, [model.with_name(name) for name in ("sun.tif", "codes.tif", "a.png", "a.gif")]
+
+    def interrupted(self, path):
+        path.write_bytes(b"GIF89a")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pictures.Pictures, "gif", interrupted)
+    options = [text for pair in zip(["-o", "--codes", "--png", "--gif"], map(str, names), strict=True) for text in pair]
+    assert terrain.main([str(model), *DAY, *options]) == 130
+    assert sorted(path.name for path in model.parent.iterdir()) == ["dem.tif", "sun.tif.parts"]
+    monkeypatch.setattr(pictures.Pictures, "gif", gif)
+    assert terrain.main([str(model), *DAY, *options]) == 0
+    assert "1 tiles, 1 of them from the run before" in capsys.readouterr().out
+    assert all(path.exists() for path in names)
+
+
 @pytest.mark.parametrize("name", ["sun.tif", "sun.nc"])
 def test_an_output_is_whole_or_not_there(model, monkeypatch, capsys, name) -> None:
     results = run.results
@@ -174,6 +230,12 @@ def test_pictures_have_a_frame_for_each_time_with_the_sun_up(model) -> None:
         (["-o", "nowhere/sun.tif"], "there is no folder"),
         (["--gif", "day.gif", "--until", "2026-03-22", "--every", "1min"], "--gif: expected at most 2000 times"),
         (["--codes", "codes.nc"], "--codes: expected *.tif"),
+        (["--codes", "sun.tif"], "--codes: expected another file than those of the other options"),
+        (["--codes", "codes.tif", "--until", "2026-04-15", "--every", "30s"], "--codes: expected at most 65535 times"),
+        (["--memory", "nan"], "memory: expected a finite number"),
+        (["--memory", "inf"], "memory: expected a finite number"),
+        (["--until", "9999-12-31"], "--until: expected the years 1900 to 2100"),
+        (["--gif", "day.gif", "--every", "24h"], "--gif: expected times with the sun above the horizon"),
         (["--resolution", "3"], "--resolution and --nodata are for .npy"),
     ],
 )

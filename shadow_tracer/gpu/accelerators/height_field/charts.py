@@ -35,7 +35,7 @@ _LONGEST = 2**16
 LEVELS = 9  # of 4^9 quads along an axis
 # What boxes are padded with, in units of the largest row or column, and of the span of heights: 2^-19, 32 roundings.
 PADDING = 2.0**-19
-# How far from their places, in cells, positions may be where something is to be told from heights alone.
+# How far from their places, in cells, positions may be where heights alone are to decide something.
 BESIDE = 2.0**-27
 # Outwards, in steps: float32 heights are off by 2^-9 of one, and 2^-14 where they were computed.
 ROUNDED = 2.0**-6
@@ -219,11 +219,11 @@ class Charts:
         self._found: dict[str, tuple[int, int, Chart | None]] = {}
         self._followed = -1
 
-    def follow(self) -> bool:
-        """Make what depends on surfaces that have changed; returns whether there was anything to look at."""
+    def follow(self) -> None:
+        """Make what depends on surfaces that have changed."""
         scene = self._scene
         if self._followed == scene.copied:
-            return False
+            return
         self._followed = -1
         before, self.placed = {each.key for each in self.placed}, ()
         placed = self._place()
@@ -237,7 +237,6 @@ class Charts:
                 self._make(number, each)
         self.placed = tuple(placed)
         self._followed = scene.copied
-        return True
 
     def forget(self) -> None:
         """Everything is to be made again."""

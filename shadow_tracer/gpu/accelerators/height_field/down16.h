@@ -1,6 +1,6 @@
 // cpu
-// needs: visibility/in_place.h accelerators/height_field/chart_ray.h accelerators/height_field/boxes.h@16 accelerators/height_field/profile.h
-// arguments: Structure structure, Sweep structure.sweep, DeviceChart wp::load(structure.charts.data)
+// needs: accelerators/height_field/boxes.h@16 accelerators/height_field/at_chart.h
+// arguments: Structure structure
 // constants: CHART_LEVELS
 // Down the nodes of each chart, all sixteen children of a node in one go of the vector registers.
 struct Walk1 {
@@ -62,26 +62,9 @@ struct Walk1 {
     }
     static inline void walk(const Structure& structure, Query1& query) {
         for (int number = 0; number < structure.count; ++number) {
-            const auto& chart = structure.charts.data[number];
-            const double beside = structure.beside.data[number];
-            if (number == structure.sweep.number) {
-                Profile profile(structure.sweep, structure.heights);
-                const int found =
-                    profile.look(chart, beside, query.sample(), query.asked.vertices.data, structure.bounds.data);
-                query.nodes += profile.strips;
-                if (found == Profile::HIDDEN) {
-                    query.hide();
-                    return;
-                }
-                if (found == Profile::LIT)
-                    continue;
-            }
             ChartRay ray;
-            const int place = ray.place(chart, beside, query.sample(), query.light());
-            if (place == ChartRay::MISSES)
-                continue;
-            if (place == ChartRay::TOO_FAR ? ChartRay::everything(chart, query)
-                                           : descend(structure, number, ray, query))
+            const int at = AtChart::come(structure, number, ray, query);
+            if (at == AtChart::ENDS || (at == AtChart::ENTERS && descend(structure, number, ray, query)))
                 return;
         }
     }

@@ -79,16 +79,19 @@ class HeightFields(Accelerator):
             self._loaded = True
 
     def forget(self) -> None:
-        """Charts, and what the meshes go through, are to be made again."""
+        """Charts, the sweep, and what the meshes go through, are to be made again."""
         self._charts.forget()
+        self._sweeps.forget()
         self._rest.forget()
 
     def aim(self, lights: Sequence[LightFrame]) -> None:
         """Records of the meshes, and the sweep of a sun."""
         self._rest.aim(lights)
         context, charts, sweeps = self._context, self._charts, self._sweeps
+        # One band does it for all, and a sweep is worth what they all ask.
+        count = context.samples.count * context.samples.bands
         with context.stages.stage("setup"):
-            sweeps.make(charts, lights[0], context.samples.count, context.records.front_face_culling)
+            sweeps.make(charts, lights[0], count, context.records.front_face_culling)
             charts.structure.sweep, charts.structure.bounds = sweeps.sweep, sweeps.bounds
 
     def show(self, rays: Rays, query: Query) -> None:
@@ -112,7 +115,7 @@ class HeightFields(Accelerator):
         return rest[0] + ours[0], rest[1] + ours[1]
 
     def learn(self, counters: dict[str, int]) -> None:
-        """Nothing: what the meshes' own tree tests is not told from what charts do."""
+        """Nothing: counters hold what charts test as well, so they say nothing about the meshes' own tree."""
 
     def nbytes(self) -> int:
         """Bytes on the device, those that all shares have in common aside."""

@@ -4,7 +4,7 @@
 Of terrain in the sun most quads are sure not to have any, at a glance at their heights: a triangle with the slopes
 ``(ds, dt)``, in steps from column to column and row to row, is seen edge-on, or has no area, only if ``h = s ds + t
 dt``, with (s, t, h) the way to the sun in the chart. Heights are off by 2^-8 steps and positions by ``SWEEP_BESIDE`` of
-their places at most (else nobody looks), which makes slopes, of at most 2^16 steps, wrong by 2^-7 + 2^-8; float32
+their places at most (else this is not used), which makes slopes, of at most 2^16 steps, wrong by 2^-7 + 2^-8; float32
 rounds the differences and products by 2^-7 (abs(s) + abs(t)) and 2^-22 abs(h) more. Together less than 2^-5 (abs(s) +
 abs(t)) + 2^-20 abs(h). What is not sure, quads with a position that is not valid among it, is decided exactly.
 """

@@ -122,8 +122,12 @@ class Sweeps:
         self.sweep.number = -1
         self._made_for: tuple[object, ...] | None = None
 
+    def forget(self) -> None:
+        """The bounds are to be made once more, whatever is there."""
+        self._made_for = None
+
     def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool) -> None:
-        """Sweep the largest chart of terrain, if that is worth it and has not been done."""
+        """Sweep the largest chart of terrain, if that is worth it for so many samples and has not been done."""
         towards = np.array(light.light)
         placed = [each for each in charts.placed if each.chart.parallel]
         self.sweep = Sweep()

@@ -11,7 +11,7 @@ from mutants import Change, failing_tests
 _ROOM = "accelerators/height_field/"
 _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sweep.h"
 _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
-_FIELD, _SWEPT = "test_height_field.py", "test_sweep.py"
+_FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
 
 
 _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
@@ -148,6 +148,11 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _SWEPT,
         "same_sun",
         [(_ROOM + "sweep.py", "made_for = (*largest.key, *towards)", "made_for = (*towards,)")],
+    ),
+    "a sweep is kept when all is to be made once more": (
+        _KEPT,
+        "damaged",
+        [(_ROOM + "height_field.py", "        self._sweeps.forget()\n", "")],
     ),
     "front faces may be culled": (
         _SWEPT,
