@@ -14,7 +14,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from shadow_tracer.ros.wire.grid_map import DEFINITIONS
+
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+for _name, _text in DEFINITIONS.items():
+    TYPES.register(get_types_from_msg(_text, _name))
 STILL = (0.0, 0.0, 0.0, 1.0)
 
 

@@ -117,6 +117,7 @@ _ROS = (
     "geometry_msgs",
     "std_msgs",
     "visualization_msgs",
+    "nav_msgs",
     "diagnostic_msgs",
     "std_srvs",
     "tf2_ros",

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
+import importlib.util
 import io
 import os
 import re
@@ -267,9 +268,10 @@ def test_the_tables_are_the_topics_and_services_of_the_node(ros: Any) -> None:
         inputs = topics_of(rig.friend.get_subscriber_names_and_types_by_node("shadow_tracer", "/"))
         outputs = topics_of(rig.friend.get_publisher_names_and_types_by_node("shadow_tracer", "/"))
         services = topics_of(rig.friend.get_service_names_and_types_by_node("shadow_tracer", "/"))
-    wanted = topics_listed("Topics in")
+    absent = "" if importlib.util.find_spec("grid_map_msgs") else "grid_map_msgs/GridMap"  # not on the package index
+    wanted = {name: kind for name, kind in topics_listed("Topics in").items() if kind != absent}
     assert {name if name.startswith("~") else f"/{name}": kind for name, kind in wanted.items()} == inputs
-    assert topics_listed("Topics out") == outputs
+    assert {name: kind for name, kind in topics_listed("Topics out").items() if kind != absent} == outputs
     assert topics_listed("Services") == {
         name: kind for name, kind in services.items() if not kind.startswith(("rcl_interfaces/", "type_description_"))
     }

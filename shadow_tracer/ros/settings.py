@@ -176,6 +176,13 @@ class Settings:
     dose_max_edge: float
     dose_side: str
     dose_folder: str
+    grid_map_layer: str
+    grid_map_height_above: float
+    grid_map_dark_value: int
+    grid_map_period: float
+    sun_map_hours: float
+    sun_map_step: float
+    sun_map_period: float
 
     @property
     def bounds(self) -> Bounds:

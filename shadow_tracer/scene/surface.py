@@ -141,13 +141,15 @@ def organised(positions: Any, valid: Any, known: BoolArray | None = None) -> Org
     """Check a surface's positions and mask.
 
     Args:
-        positions: (R, C, 3) real numbers [m], or a :class:`HeightField`.
+        positions: (R, C, 3) real numbers [m], or a :class:`HeightField`; what has been checked comes back as it is.
         valid: (R, C) truth values, or None for ``known``, and if that is None for all (of a height field all that have
             a height).
 
     Raises:
         ValueError: an argument is malformed, or a position that is valid is not finite or beyond 1e50.
     """
+    if isinstance(positions, Organised) and valid is None:
+        return positions
     if isinstance(positions, HeightField):
         grid, own = positions.positions(), positions.valid
     else:

@@ -24,6 +24,7 @@ WITHOUT_ROS = {
     "test_compressed_depth.py",
     "test_cure_first.py",
     "test_frame_queue.py",
+    "test_grid_map.py",
     "test_installed.py",
     "test_health_inputs.py",
     "test_launch.py",

@@ -94,6 +94,7 @@ def perform(chosen: argparse.Namespace) -> int:
         copy=chosen.copy,
         visibility=chosen.visibility,
         irradiance=chosen.irradiance,
+        sun_map=chosen.sun_map,
     )
     source = Recording(chosen.bag, names, lights, settings.max_rays)
     with source as recording, Output(chosen.output, chosen.overwrite) as output:
@@ -214,6 +215,9 @@ def _options() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--irradiance", action="store_true", help="also write ~/irradiance and ~/irradiance/<light> [W/m2]"
+    )
+    parser.add_argument(
+        "--sun-map", action="store_true", help="also write ~/sun_map, hours of sun on the ground of a grid_map"
     )
     parser.add_argument("--overlay", action="store_true", help="also write ~/overlay, pictures for people")
     parser.add_argument(

@@ -18,6 +18,7 @@ import numpy as np
 
 from shadow_tracer import ShadowTracer
 from shadow_tracer.apps.bag.dose import TOPICS, BagDose
+from shadow_tracer.apps.bag.ground import BagGround
 from shadow_tracer.apps.bag.names import Names
 from shadow_tracer.apps.bag.reader import MESHES, Background, Message, Recording, add_transforms
 from shadow_tracer.apps.bag.writer import Output
@@ -48,6 +49,7 @@ class Wish:
     copy: bool = False
     visibility: bool = False
     irradiance: bool = False
+    sun_map: bool = False
 
 
 @dataclass
@@ -102,7 +104,7 @@ class Player:
         names: Names, wish: Wish,
     ) -> None:  # fmt: skip
         self.result = Result()
-        self.meshes = MeshSources(settings.max_triangles)
+        self.meshes = MeshSources(settings.max_triangles, settings.grid_map_layer)
         self._recording = recording
         self._background = background
         self._settings = settings
@@ -120,13 +122,14 @@ class Player:
         self._processor = Processor(self._queue, self._frames, self.meshes.store, self._lighting)
         self._queries = Queries(self._frames, self.meshes.store, self._lighting)
         self.dose = BagDose(settings, tracer, output, names)
+        self._ground = BagGround(self._frames, self.meshes.store, self._lighting, output, names, wish.sun_map)
         self._camera_frame = ""
         self._last_stamp = 0
         self._info_stamps = sorted(background.infos)
         self._next_info = 0
         self._mine = {names.topic(f"~/{name}") for name in ("mask", "light_bits", "camera_info", "timing")}
         self._mine |= {names.topic(f"~/{name}") for name in ("overlay", "irradiance")}
-        self._mine |= {names.topic(topic) for topic in ("~/query/visibility", *TOPICS)}
+        self._mine |= {names.topic(topic) for topic in ("~/query/visibility", "~/shadow_grid", "~/sun_map", *TOPICS)}
         self._mine |= {names.topic(f"~/{kind}/{light.name}") for light in settings.lights for kind in _BY_LIGHT}
         if settings.camera_info_policy == "latest":
             self._queue.put_info(background.first_info)
@@ -162,6 +165,8 @@ class Player:
         if name in MESHES:
             content = self._recording.decode(message) if name == "mesh_cloud" else message.data
             self.meshes.receive(name, content, _NOW, message.time)
+            if name == "grid_map":
+                self._look_at_ground(message.time)
             return
         content = self._recording.decode(message)
         if name == "depth":
@@ -197,6 +202,12 @@ class Player:
         self._note(answer)
         self._publish(answer, now_ns, start)
         self.dose.note(answer, now_ns, self._camera_frame)
+        self._look_at_ground(now_ns)
+
+    def _look_at_ground(self, now_ns: int) -> None:
+        seen = self._camera_frame, self._last_stamp, now_ns
+        if missing := self._ground.look(self._settings, self._tracer, *seen):
+            self._give_reason(f"shadow_grid: {missing}")
 
     def _offer_infos(self, stamp: int) -> None:
         """Give the queue every camera_info up to the stamp of an image [ns], and the one after it."""

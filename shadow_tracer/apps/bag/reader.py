@@ -23,6 +23,7 @@ from shadow_tracer.apps.bag.names import Names
 from shadow_tracer.apps.bag.types import USUAL, Convert, Types, usual_name
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.wire.compressed_depth import decode as decode_compressed
+from shadow_tracer.ros.wire.grid_map import GRID_MAP
 from shadow_tracer.ros.wire.messages import MessageError, camera_pose, image_layout, stamp_ns
 from shadow_tracer.ros.world.frames import PoseBuffer
 from shadow_tracer.ros.world.transform_tree import TransformTree
@@ -40,11 +41,12 @@ INPUTS = {
     "mesh_markers": ("mesh_markers", "visualization_msgs/msg/MarkerArray"),
     "mesh_marker": ("mesh_marker", "visualization_msgs/msg/Marker"),
     "mesh_cloud": ("mesh_cloud", CLOUD),
+    "grid_map": ("grid_map", GRID_MAP),
     "query": ("query", CLOUD),
     "tf": ("/tf", TF),
     "tf_static": ("/tf_static", TF),
 }
-MESHES = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud")
+MESHES = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud", "grid_map")
 _SIBLING = "compressedDepth"  # what image_transport adds to the name of a topic
 
 

@@ -14,12 +14,15 @@ from typing import Any
 import zstandard
 from rosbags.convert.converter import migrate_message
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from shadow_tracer.apps.bag.files import ZSTD
+from shadow_tracer.ros.wire.grid_map import DEFINITIONS
 from shadow_tracer.ros.wire.messages import MessageError
 
 USUAL = get_typestore(Stores.ROS2_JAZZY)
+for _name, _text in DEFINITIONS.items():  # which Jazzy's standard packages have not
+    USUAL.register(get_types_from_msg(_text, _name))
 Convert = Callable[[bytes], bytes]
 
 _HEADER = "std_msgs/msg/Header"

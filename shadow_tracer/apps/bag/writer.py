@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
-from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys import TypesysError
 
 from shadow_tracer.apps.bag.files import BagError
+from shadow_tracer.apps.bag.types import USUAL
 from shadow_tracer.ros.wire.dose_messages import FIELDS, STEP
 from shadow_tracer.ros.wire.messages import image_layout
 
@@ -43,7 +44,7 @@ class Output:
         self.counts: Counter[str] = Counter()
         if path.exists() and not overwrite:
             raise BagError(f"{path}: exists already; choose another name, or give --overwrite")
-        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._types = USUAL
         self._folder = path.parent / f".{path.name}.{os.getpid()}.part"
         self._bag = self._folder / path.stem
         self._connections: dict[str, Any] = {}

@@ -17,6 +17,7 @@ from shadow_tracer import ShadowTracer
 from shadow_tracer.ros import diagnostics
 from shadow_tracer.ros.node.answer import Answer
 from shadow_tracer.ros.node.dose import DoseOutputs, DoseServices
+from shadow_tracer.ros.node.ground import Ground
 from shadow_tracer.ros.node.health import DeviceState, Health
 from shadow_tracer.ros.node.inputs import Inputs
 from shadow_tracer.ros.node.log_bridge import LogBridge
@@ -72,7 +73,12 @@ class Core:
             self.outputs.scene_markers, self.outputs.light_markers, self.inputs.meshes.store, self.inputs.lighting,
             lambda text: node.get_logger().warning(text, throttle_duration_sec=60.0),
         )  # fmt: skip
-        self.health = Health(self.label, self.inputs, self.frames, self.processor, self.queries, self.exposure)
+        self.ground = Ground(
+            self.frames, self.inputs.meshes.store, self.inputs.lighting, self.outputs.shadow_grid, self.outputs.sun_map
+        )
+        self.health = Health(
+            self.label, self.inputs, self.frames, self.processor, self.queries, self.exposure, self.ground
+        )
         self._services = Services(self), DoseServices(self)
         self._guard = node.create_guard_condition(self.guarded(self._step))
         self._retry = self._timer(_RETRY_PERIOD, self._step)
@@ -309,11 +315,13 @@ class Core:
             self.node.get_logger().warning(text, throttle_duration_sec=5.0)
 
     def _mark(self) -> None:
-        inputs, now = self.inputs, time.monotonic()
+        inputs, tracer, now = self.inputs, self.host.tracer, time.monotonic()
         self.dose.mark(self.exposure, self.settings, world_name(self.settings, inputs.camera_frame), now)
-        if self.markers.step(
-            self.settings, inputs.camera_frame, inputs.last_stamp, now, self.now_ns()
-        ):  # the rest between other work: frames must not wait for it
+        seen = (inputs.camera_frame, inputs.last_stamp, now, self.now_ns())
+        more = self.markers.step(self.settings, *seen)
+        if tracer is not None:
+            more = self.ground.step(self.settings, tracer, *seen) or more
+        if more:  # the rest between other work: frames must not wait for it
             if self._drawing.is_canceled():
                 self._drawing.reset()
         else:

@@ -23,6 +23,7 @@ from shadow_tracer.ros.diagnostics import (
     Window,
 )
 from shadow_tracer.ros.node.answer import MOST_BITS, Answer
+from shadow_tracer.ros.node.ground import Ground
 from shadow_tracer.ros.node.health_inputs import Verdict, judge_depth, judge_mesh
 from shadow_tracer.ros.node.inputs import Inputs
 from shadow_tracer.ros.node.processing import Processor, named_in_vain
@@ -75,6 +76,7 @@ class Health:
     processor: Processor
     queries: Queries
     exposure: Exposure
+    ground: Ground
     device: DeviceState = field(default_factory=DeviceState)
     faults: Complaint = field(default_factory=Complaint)
     traced: int = 0
@@ -137,7 +139,7 @@ class Health:
         return array
 
     def _status(self, name: str, level: bytes, text: str, values: dict[str, Any]) -> DiagnosticStatus:
-        missing = self._missing or self.queries.missing
+        missing = self._missing or self.queries.missing or self.ground.missing
         if missing is not None and missing.status == name and level <= missing.level:
             level, text = missing.level, missing.text
         return diagnostics.status(f"{self.node}: {name}", level, diagnostics.cure_first(text), values, self.node)
@@ -213,6 +215,8 @@ class Health:
             "queries refused": queries.refused.count,
             "queries dropped": queries.dropped,
             "last query refusal": queries.refused.text or "-",
+            "shadow grids": self.ground.grids,
+            "sun maps": self.ground.maps,
             "time jumps back": self.time_jumps,
             "faults": self.faults.count,
             "last fault": self.faults.text or "-",
@@ -231,6 +235,9 @@ class Health:
             return WARN, f"the last mask says unknown, see {self._missing.status!r}: {self._missing.text}", values
         if queries.missing is not None:
             return WARN, f"the last query has no answer, see {queries.missing.status!r}: {queries.missing.text}", values
+        lost = self.ground.missing
+        if lost is not None:
+            return WARN, f"the last shadow_grid says unknown, see {lost.status!r}: {lost.text}", values
         warning = self._doubts(settings, now)
         if warning:
             return WARN, warning, values

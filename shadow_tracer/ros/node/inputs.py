@@ -19,10 +19,11 @@ from shadow_tracer.ros.cameras.frame_queue import FrameQueue, WaitingFrame
 from shadow_tracer.ros.diagnostics import Complaint, RateMeter
 from shadow_tracer.ros.node import qos
 from shadow_tracer.ros.node.queries import Queries
-from shadow_tracer.ros.node.subscriptions import FollowingSubscription
+from shadow_tracer.ros.node.subscriptions import AbsentSubscription, FollowingSubscription
 from shadow_tracer.ros.node.transport import LossMeter
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.wire import compressed_depth
+from shadow_tracer.ros.wire.layouts import grid_map_type
 from shadow_tracer.ros.wire.messages import MessageError, camera_pose, decode_depth, in_unit, pose_matrix, stamp_ns
 from shadow_tracer.ros.world.frames import Frames
 from shadow_tracer.ros.world.lighting import Lighting, LightPose
@@ -31,6 +32,10 @@ from shadow_tracer.ros.world.mesh_sources import MeshSources
 BACKWARD_STAMPS = 1_000_000_000  # images this much older than the last one mean a restarted bag, not a late message
 
 _MESH_KINDS = {"mesh": Mesh, "mesh_markers": MarkerArray, "mesh_marker": Marker, "mesh_cloud": PointCloud2}
+_NO_GRID_MAP = (
+    "grid_map_msgs cannot be imported here: it is not heard, and sun_map is not published; install "
+    "ros-jazzy-grid-map-msgs and source the installation"
+)
 
 
 class Inputs:
@@ -49,6 +54,7 @@ class Inputs:
         depth_refused, pose_refused: images and poses that cannot be used.
         depth_format: encoding and size of the last good image.
         depth_bytes: bytes of its pixels.
+        absent: what cannot be subscribed to, because there is no such type here.
         camera_frame: its frame, "" before there is one.
         last_stamp: its stamp [ns], 0 before there is one.
     """
@@ -58,7 +64,7 @@ class Inputs:
         settings: Callable[[], Settings], work: Callable[[], None], restarted: Callable[[str], None],
     ) -> None:  # fmt: skip
         self.queue = FrameQueue()
-        self.meshes = MeshSources(settings().max_triangles)
+        self.meshes = MeshSources(settings().max_triangles, settings().grid_map_layer)
         self.lighting = Lighting()
         self.depth = RateMeter()
         self.losses = LossMeter()
@@ -68,6 +74,7 @@ class Inputs:
         self.depth_bytes = 0
         self.camera_frame = ""
         self.subscriptions: dict[str, FollowingSubscription] = {}
+        self.absent: dict[str, AbsentSubscription] = {}
         self._node = node
         self._guarded = guarded
         self._settings = settings
@@ -90,6 +97,7 @@ class Inputs:
         for name, kind in _MESH_KINDS.items():
             profile = qos.newest_reliable() if name == "mesh" else qos.burst()
             self._add(name, kind, name, partial(self._on_mesh, name), profile, durability=True)
+        self._subscribe_grid_map()
         self._subscribe_depth(self._settings().depth_image_transport)
         read = self._reader(CameraInfo, self.depth_refused, "camera_info", self._on_info)
         follow = {"reliability": True, "durability": True}
@@ -104,10 +112,13 @@ class Inputs:
         """Listen to nothing any more."""
         for name in list(self.subscriptions):
             self.subscriptions.pop(name).close()
+        self.absent.clear()
 
     def configure(self, settings: Settings) -> None:
         """Follow new settings: order of processing, and which lights there are."""
         self.queue.every = settings.process == "every"
+        now, now_ns = time.monotonic(), self._node.get_clock().now().nanoseconds
+        self.meshes.choose_layer(settings.grid_map_layer, now, now_ns)
         if not self.subscriptions:
             return
         if settings.depth_image_transport != self._transport:
@@ -127,19 +138,22 @@ class Inputs:
 
     def match(self) -> None:
         """Look after the publishers of one subscription, another one each time."""
-        names = list(self.subscriptions)
-        if names:
-            self._next_match = (self._next_match + 1) % len(names)
-            self.subscriptions[names[self._next_match]].match()
+        found: list[FollowingSubscription | AbsentSubscription]
+        found = [*self.subscriptions.values(), *self.absent.values()]
+        if found:
+            self._next_match = (self._next_match + 1) % len(found)
+            found[self._next_match].match()
 
     def mismatch(self, *names: str) -> str:
         """Why a publisher of one of these inputs cannot be heard; "" if all can."""
-        found = (self.subscriptions[name].mismatch for name in names if name in self.subscriptions)
+        both = self.subscriptions | self.absent
+        found = (both[name].mismatch for name in names if name in both)
         return next(filter(None, found), "")
 
     def topic(self, name: str) -> str:
         """Resolved topic of an input; its name while the node does not listen."""
-        return self.subscriptions[name].topic if name in self.subscriptions else name
+        both = self.subscriptions | self.absent
+        return both[name].topic if name in both else name
 
     def restart(self, now_ns: int) -> None:
         """Time has jumped: nothing that waits is of the present."""
@@ -152,6 +166,14 @@ class Inputs:
         self.subscriptions[name] = FollowingSubscription(
             self._node, kind, topic, self._guarded(callback), profile, **how
         )
+
+    def _subscribe_grid_map(self) -> None:
+        kind = grid_map_type()
+        if kind is None:
+            self.absent["grid_map"] = AbsentSubscription(self._node, "grid_map", _NO_GRID_MAP)
+            return
+        callback, follow = partial(self._on_mesh, "grid_map"), {"reliability": True, "durability": True}
+        self._add("grid_map", kind, "grid_map", callback, qos.newest_reliable(), **follow)
 
     def _subscribe_depth(self, transport: str) -> None:
         self._transport = transport

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -19,6 +20,7 @@ from shadow_tracer.ros.node import qos
 from shadow_tracer.ros.node.answer import MOST_BITS, Answer, published_mask
 from shadow_tracer.ros.node.subscriptions import keeps_for_late_joiners
 from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.wire.layouts import grid_map_type
 from shadow_tracer.ros.wire.messages import image_message
 
 _MASK, _SHARE, _POWER = _KINDS = ("mask/", "visibility/", "irradiance/")
@@ -29,6 +31,7 @@ class Outputs:
     """The publishers. Those of single lights come and go with the lights.
 
     Attributes:
+        sun_map: None where there is no grid_map_msgs.
         lights, shares, powers: the masks, the visible shares and the irradiances, by light.
         infos: camera_info for them, by what stands before ``camera_info``: "mask/", "visibility/" and "irradiance/" are
             those that image_transport looks for beside every light's.
@@ -45,6 +48,9 @@ class Outputs:
         self.visibility = self._publisher(PointCloud2, "~/query/visibility", qos.burst())
         self.scene_markers = self._publisher(MarkerArray, "~/scene_markers", qos.latched())
         self.light_markers = self._publisher(MarkerArray, "~/light_markers", qos.latched())
+        self.shadow_grid = self._publisher(OccupancyGrid, "~/shadow_grid", qos.latched())
+        kind = grid_map_type()
+        self.sun_map = self._publisher(kind, "~/sun_map", qos.latched()) if kind is not None else None
         self.timing = self._publisher(DiagnosticArray, "~/timing", qos.report())
         self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
         self.lights: dict[str, Publisher] = {}

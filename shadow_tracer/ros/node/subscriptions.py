@@ -104,6 +104,34 @@ class FollowingSubscription:
         return SubscriptionEventCallbacks(use_default_callbacks=not self._follow_reliability)
 
 
+class AbsentSubscription:
+    """Stands for a subscription to a type that there is not here: it hears nothing, and says so where somebody
+    publishes.
+
+    Args:
+        node: the node.
+        topic: name before remapping.
+        cure: what is missing, and what helps.
+
+    Attributes:
+        mismatch: as of :class:`FollowingSubscription`.
+    """
+
+    def __init__(self, node: Node, topic: str, cure: str) -> None:
+        self.mismatch = ""
+        self._node = node
+        self._cure = cure
+        self.topic = str(node.resolve_topic_name(topic))
+
+    def match(self) -> None:
+        """Look whether anybody publishes."""
+        publishers = self._node.get_publishers_info_by_topic(self.topic)
+        self.mismatch = f"{publishers[0].node_name} publishes {self.topic}, but {self._cure}" if publishers else ""
+
+    def close(self) -> None:
+        """Nothing is there to be closed."""
+
+
 def _type_name(kind: Any) -> str:
     package, folder, *_ = str(kind.__module__).split(".")
     return f"{package}/{folder}/{kind.__name__}"

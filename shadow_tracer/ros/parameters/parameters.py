@@ -51,6 +51,7 @@ _BUFFER = "device buffers of this size are allocated once, at start; restart the
 _DEVICE = "buffers and kernels live on one device from the start; restart the node to change it"
 _THREADS = "buffers are cut into as many bands at the start; restart the node to change it"
 _DEVICE_NAME = re.compile(r"auto|cpu|cuda:\d+")
+_LAYER = re.compile(r".{1,200}", re.DOTALL)
 _LIGHT_NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")
 _NO_LIGHT = "camera_info"  # ~/mask/camera_info is the camera_info of all masks
 
@@ -110,8 +111,8 @@ PARAMETERS: tuple[Parameter, ...] = (
               "Length of a step of 16UC1 and mono16. Other than 0.001: a depth is step * unit, rounded to float32.",
               "m", 1e-6, 1.0),
     Parameter("occluders", STRING, "mesh",
-              "What casts shadow: received meshes and mesh files, the surface that the depth image itself shows, or "
-              "both.", allowed=("mesh", "depth", "mesh+depth")),
+              "What casts shadow: received meshes, grid maps and mesh files, the surface that the depth image itself "
+              "shows, or both.", allowed=("mesh", "depth", "mesh+depth")),
     Parameter("depth_occluder.step", INTEGER, 2,
               "Every n-th pixel of the depth image is a corner of the surface that it shows.", "px", 1, 16),
     Parameter("depth_occluder.max_jump", DOUBLE, 0.05,
@@ -179,7 +180,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               low=1, high=LIMITS["grid_entries"], read_only=_BUFFER),
     Parameter("dose.parts", STRINGS, ("",),
               "Parts whose surface is watched for what it receives from lights with a strength: mesh, cloud, "
-              "markers/<ns>/<id>, files/<n>; [''] is none."),
+              "grid_map, markers/<ns>/<id>, files/<n>; [''] is none."),
     Parameter("dose.target", DOUBLE, 280.0,
               "Dose that is wanted; 10 J/m2 are 1 mJ/cm2.", "J/m2", 1e-6, 1e12),
     Parameter("dose.goal", DOUBLE, 0.95,
@@ -191,6 +192,23 @@ PARAMETERS: tuple[Parameter, ...] = (
               "another one begins again.", allowed=SIDES),
     Parameter("dose.folder", STRING, "",
               "Where dose/save writes a file for each part, and dose/load reads them."),
+    Parameter("grid_map.layer", STRING, "elevation",
+              "Layer of the topic grid_map that holds the heights of the ground; another one is looked for in the last "
+              "map at once.", pattern=_LAYER, pattern_text="a name of 1 to 200 characters"),
+    Parameter("grid_map.height_above", DOUBLE, 0.05,
+              "shadow_grid and sun_map tell what reaches points so far above the ground: a wheel, a solar panel.",
+              "m", 0.001, 100.0),
+    Parameter("grid_map.dark_value", INTEGER, 100,
+              "Value of shadow_grid where no light reaches; 100 is an obstacle to Nav2, less a cost.",
+              low=1, high=100),
+    Parameter("grid_map.period", DOUBLE, 1.0,
+              "Least time between two messages on shadow_grid.", "s", 0.25, 3600.0),
+    Parameter("sun_map.hours", DOUBLE, 24.0,
+              "How far ahead sun_map counts hours of sun, from the time of its map on.", "h", 0.25, 744.0),
+    Parameter("sun_map.step", DOUBLE, 15.0,
+              "Time between two places of the sun in that sum, each in the middle of its step.", "min", 1.0, 240.0),
+    Parameter("sun_map.period", DOUBLE, 60.0,
+              "Least time between the beginnings of two messages on sun_map.", "s", 0.25, 86_400.0),
     Parameter("diagnostics_period", DOUBLE, 1.0,
               "Time between two messages on /diagnostics, on a steady clock.", "s", 0.1, 1.0),
 )  # fmt: skip

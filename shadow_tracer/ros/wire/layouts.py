@@ -3,11 +3,13 @@
 
 At the start small messages of each type are serialised by ROS and parsed by :mod:`cdr` and :mod:`cdr_markers`. A type
 that does not come out as it went in is from then on turned into objects by ROS, which takes hundreds of times longer
-but is right. Without ROS, as when a bag is read, there is nothing to compare with, and nothing else to parse by.
+but is right (of grid maps, which nobody lays out differently, none is read then). Without ROS, as when a bag is read,
+there is nothing to compare with, and nothing else to parse by.
 """
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,6 +18,7 @@ import numpy as np
 from shadow_tracer.ros.wire.cdr import MeshMessage, encode_mesh, parse_mesh
 from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, check_size, parse_marker, parse_markers
 from shadow_tracer.ros.wire.cdr_reader import HEADER, LONGEST_NAME, MeshMessageError
+from shadow_tracer.ros.wire.grid_map import GRID_MAP, GridMap, encode_grid_map, parse_grid_map
 from shadow_tracer.ros.wire.messages import stamp_ns
 
 MESH, MARKER, MARKERS = "shape_msgs/msg/Mesh", "visualization_msgs/msg/Marker", "visualization_msgs/msg/MarkerArray"
@@ -31,11 +34,14 @@ class Layouts:
     """
 
     def __init__(self) -> None:
-        self.reasons = dict.fromkeys((MESH, MARKER, MARKERS), "")
+        self.reasons = dict.fromkeys((MESH, MARKER, MARKERS, GRID_MAP), "")
 
     def check(self) -> dict[str, str]:
         """Compare the parsers with ROS, some milliseconds. Returns :attr:`reasons`."""
-        for name, different in ((MESH, _mesh_differs), (MARKER, _marker_differs), (MARKERS, _markers_differ)):
+        checks = {
+            MESH: _mesh_differs, MARKER: _marker_differs, MARKERS: _markers_differ, GRID_MAP: _grid_map_differs,
+        }  # fmt: skip
+        for name, different in checks.items():
             try:
                 where = different()
             except ImportError:
@@ -43,7 +49,8 @@ class Layouts:
             except MeshMessageError as error:
                 where = str(error)
             if where:
-                where = f"{name} is laid out differently by this ROS ({where}); it is read as objects, which is slow"
+                then = "cannot be read" if name == GRID_MAP else "is read as objects, which is slow"
+                where = f"{name} is laid out differently by this ROS ({where}); it {then}"
             self.reasons[name] = where
         return dict(self.reasons)
 
@@ -72,6 +79,12 @@ class Layouts:
         markers = [marker_from(marker) for marker in _object(data, MARKERS).markers]
         check_size(markers, max_triangles)
         return markers
+
+    def grid_map(self, data: bytes, layer: str, max_triangles: int) -> GridMap:
+        """A layer of a grid_map_msgs/GridMap; see :func:`grid_map.parse_grid_map`."""
+        if not self.reasons[GRID_MAP]:
+            return parse_grid_map(data, layer, max_triangles)
+        raise MeshMessageError(f"message: {self.reasons[GRID_MAP]}")
 
     @staticmethod
     def cloud(data: bytes) -> Any:
@@ -216,6 +229,39 @@ def _markers_differ() -> str:
         lambda data: parse_markers(data, 10),
         lambda message: [marker_from(marker) for marker in message.markers],
     )
+
+
+def _grid_map_differs() -> str:
+    """Where our parser and ROS disagree about grid maps, "" if nowhere."""
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    kind = grid_map_type()
+    if kind is None:
+        raise ImportError(GRID_MAP)
+    for number in range(4):  # with names of lengths that leave gaps behind them
+        values = np.arange(6, dtype=np.float32).reshape(2, 3) + number
+        ours = GridMap("f" * number, 7_000_000_009, 0.25, (1.5, -2.5), values)
+        layers = {"l" * (number + 1): values, "elevation": -values}
+        data = encode_grid_map(ours, layers, ["b" * number] * number, starts=(1, 2))
+        message = deserialize_message(data, kind)
+        same = (
+            message.header.frame_id == ours.frame and list(message.layers) == list(layers)
+            and (message.outer_start_index, message.inner_start_index) == (1, 2)
+            and (message.info.resolution, message.info.length_x, message.info.length_y) == (0.25, 0.5, 0.75)
+            and (message.info.pose.position.x, message.info.pose.position.y) == ours.center
+        )  # fmt: skip
+        theirs = parse_grid_map(serialize_message(message), "elevation", 10)
+        if not same or not np.array_equal(theirs.values, -values):
+            return f"a map with {len(layers)} layers differs"
+    return ""
+
+
+def grid_map_type() -> Any:
+    """The class grid_map_msgs.msg.GridMap; None where there is none: the package index has no such package."""
+    try:
+        return importlib.import_module("grid_map_msgs.msg").GridMap
+    except ImportError:
+        return None
 
 
 def _compare(

@@ -31,7 +31,7 @@ class Part:
     """One mesh as it was received.
 
     Attributes:
-        key: unique name: "mesh", "cloud", "markers/<ns>/<id>", "files/<n>".
+        key: unique name: "mesh", "cloud", "grid_map", "markers/<ns>/<id>", "files/<n>".
         vertices: (V, 3) float64 [m], read-only, owning; those that a triangle uses are finite.
         triangles: (T, 3) int32, read-only, owning, in range. The same object as before means the same topology.
         frame: frame of ``pose``; "" is the parameter ``mesh.frame``.
@@ -51,6 +51,11 @@ class Part:
     locked: bool = True
     expires: int | None = None
     field: str = "mesh.frame"
+
+    @property
+    def drawn(self) -> npt.NDArray[np.int32]:
+        """(T, 3) the triangles that there is something to be seen of; read-only."""
+        return self.triangles
 
 
 @dataclass(frozen=True)

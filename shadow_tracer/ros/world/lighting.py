@@ -88,6 +88,18 @@ class Lighting:
             shining.append(placed.light(to_world, direction))
         return Lit(shining, tuple(dark))
 
+    def sun(self, light: LightSettings, to_world: FloatArray, when: int) -> Light | None:
+        """A light of type ``sun`` at another time than that of its parameters [ns]; None below the horizon.
+
+        Args:
+            to_world: (4, 4) transform of its frame.
+
+        Raises:
+            Missing: it cannot be computed.
+        """
+        direction = self._sun_direction(replace(light, sun=replace(light.sun, time=when)), when)
+        return None if direction is None else light.light(to_world, direction)
+
     def placed(self, light: LightSettings, stamp: int) -> LightSettings | None:
         """A light with the frame, position and direction that parameters, a topic or the sun give it.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where meshes come from: four topics and files. Each keeps its own figures; what they bring lands in one store."""
+"""Where meshes come from: five topics and files. Each keeps its own figures; what they bring lands in one store."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from shadow_tracer.ros.diagnostics import Complaint, RateMeter, Window
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.wire.cdr import MeshMessage
 from shadow_tracer.ros.wire.clouds import CLOUD, soup_part
+from shadow_tracer.ros.wire.grid_map import KEY as GRID_KEY
+from shadow_tracer.ros.wire.grid_map import grid_part
 from shadow_tracer.ros.wire.layouts import Layouts
 from shadow_tracer.ros.wire.markers import PREFIX, count_ignored, marker_changes
 from shadow_tracer.ros.wire.mesh_files import FilePart, file_parts
@@ -19,9 +21,11 @@ from shadow_tracer.ros.wire.parts import FILES, Changes, Part, PartError
 from shadow_tracer.ros.world.mesh_store import MeshStore
 
 MESH_KEY = "mesh"
-TOPICS = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud")
+TOPICS = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud", "grid_map")
 # How the keys of the parts begin that a topic brings.
-_KEYS = {"mesh": MESH_KEY, "mesh_markers": PREFIX, "mesh_marker": PREFIX, "mesh_cloud": CLOUD}
+_KEYS = {
+    "mesh": MESH_KEY, "mesh_markers": PREFIX, "mesh_marker": PREFIX, "mesh_cloud": CLOUD, "grid_map": GRID_KEY,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,7 @@ class MeshSources:
 
     Args:
         max_triangles: capacity of all meshes together.
+        layer: of a grid map that is the ground.
 
     Attributes:
         store: the parts.
@@ -60,18 +65,21 @@ class MeshSources:
         ignored_markers: markers that are no lists of triangles.
     """
 
-    def __init__(self, max_triangles: int) -> None:
+    def __init__(self, max_triangles: int, layer: str) -> None:
         self.store = MeshStore(max_triangles)
         self.sources = {name: MeshSource() for name in TOPICS}
         self.layouts = Layouts()
         self.files = ""
         self.ignored_markers = 0
         self._max_triangles = max_triangles
+        self._layer = layer
+        self._grid_map: bytes | None = None  # the last one, of which another layer may be wanted
         self._readers: dict[str, Callable[[Any, int], Changes]] = {
             "mesh": self._mesh,
             "mesh_markers": self._markers,
             "mesh_marker": self._marker,
             "mesh_cloud": self._cloud,
+            "grid_map": self._ground,
         }
 
     @property
@@ -93,8 +101,20 @@ class MeshSources:
             now: steady time [s].
             now_ns: time of the node's clock [ns].
         """
+        self.sources[topic].arrivals.tick(now)
+        if topic == "grid_map":
+            self._grid_map = message
+        self._take(topic, message, now, now_ns)
+
+    def choose_layer(self, layer: str, now: float, now_ns: int) -> None:
+        """Take another layer of grid maps, of the last one as well if it has that."""
+        if layer != self._layer:
+            self._layer = layer
+            if self._grid_map is not None:
+                self._take("grid_map", self._grid_map, now, now_ns)
+
+    def _take(self, topic: str, message: Any, now: float, now_ns: int) -> None:
         source = self.sources[topic]
-        source.arrivals.tick(now)
         start = time.perf_counter()
         try:
             self.store.commit(self._readers[topic](message, now_ns), now_ns)
@@ -130,6 +150,7 @@ class MeshSources:
     def clear(self, now_ns: int) -> int:
         """Drop every mesh that was received, refused ones too; those of files stay. Returns how many parts went."""
         self.store.lacking = ""
+        self._grid_map = None
         keys = tuple(key for key in self.store.parts if not key.startswith(FILES))
         self.store.commit(Changes(remove=keys), now_ns)
         return len(keys)
@@ -151,6 +172,10 @@ class MeshSources:
         changes = marker_changes(messages, self.store.parts, now_ns, topic)
         self.ignored_markers += count_ignored(messages)
         return changes
+
+    def _ground(self, data: bytes, _now_ns: int) -> Changes:
+        grid_map = self.layouts.grid_map(data, self._layer, self._max_triangles)
+        return grid_part(grid_map, self.store.parts.get(GRID_KEY))
 
     def _cloud(self, message: Any, _now_ns: int) -> Changes:
         if isinstance(message, bytes):

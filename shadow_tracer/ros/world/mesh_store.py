@@ -17,6 +17,7 @@ import numpy as np
 from shadow_tracer import BoundsError, Scene
 from shadow_tracer.ros.diagnostics import Missing
 from shadow_tracer.ros.settings import FloatArray
+from shadow_tracer.ros.wire.grid_map import GridPart
 from shadow_tracer.ros.wire.parts import FILES, IDENTITY, Changes, Part, PartError
 from shadow_tracer.scene.checks import LARGEST, unusable_vertices
 
@@ -99,6 +100,8 @@ class MeshStore:
                 f"at most {self._max_triangles} and three times as many fit"
             )
         for part in new:
+            if isinstance(part, GridPart):  # checked as a surface, in which what has no height is NaN
+                continue
             known = self._parts.get(part.key)
             if known is not None and known.vertices is part.vertices and known.triangles is part.triangles:
                 continue
@@ -174,7 +177,7 @@ class MeshStore:
             BoundsError: with what else is in the scene it is too much.
         """
         wanted = (self._parts if parts is None else parts) if shown else {}
-        poses = {key: self._place(part, places, mesh_frame) for key, part in wanted.items()}
+        poses = {key: self.place(part, places, mesh_frame) for key, part in wanted.items()}
         for key in self._shown.keys() - wanted.keys():
             if key in scene:
                 scene.remove(key)
@@ -203,7 +206,8 @@ class MeshStore:
         fixed = self._fixed.get(part.key)
         return None if fixed is None or fixed[0] is not part else fixed[1:]
 
-    def _place(self, part: Part, places: Places, mesh_frame: str) -> FloatArray:
+    def place(self, part: Part, places: Places, mesh_frame: str) -> FloatArray:
+        """(4, 4) transform of a part to the world; arguments as for :meth:`update`. Raises Missing."""
         frame = part.frame or mesh_frame
         if part.locked:
             return _product(places.frame_to_world(frame, part.field), part.pose)
@@ -222,7 +226,9 @@ class MeshStore:
     def _apply(self, scene: Scene, part: Part, pose: FloatArray) -> None:
         shown, at = self._shown.get(part.key, (None, None))
         there = part.key in scene
-        if shown is None or not there or shown.triangles is not part.triangles:
+        if isinstance(part, GridPart):
+            self._apply_surface(scene, part, shown, pose)
+        elif shown is None or not there or shown.triangles is not part.triangles:
             scene.put(part.key, part.vertices, part.triangles, pose)
             self.updates["put"] += 1
         elif shown.vertices is not part.vertices:
@@ -237,6 +243,14 @@ class MeshStore:
             scene.move(part.key, pose)
             self.updates["move"] += scene[part.key].pose_revision != revision
         self._shown[part.key] = part, pose
+
+    def _apply_surface(self, scene: Scene, part: GridPart, shown: Part | None, pose: FloatArray) -> None:
+        if part.key not in scene or scene[part.key].grid != part.surface.grid:
+            scene.put_surface(part.key, part.surface, pose=pose)
+            self.updates["put"] += 1
+        elif not isinstance(shown, GridPart) or shown.surface is not part.surface:
+            scene.deform_surface(part.key, part.surface)
+            self.updates["deform"] += 1
 
 
 def is_named(key: str, names: Iterable[str]) -> bool:

@@ -87,7 +87,7 @@ def shown_parts(store: MeshStore, settings: Settings, world: str) -> tuple[list[
     """
     shown, nameless = [], 0
     for part in store.parts.values() if settings.uses_meshes else ():
-        if not len(part.triangles):
+        if not len(part.drawn):
             continue
         frame, pose = frame_name(part.frame or settings.mesh_frame) or world, part.pose
         if not part.locked:
@@ -98,7 +98,7 @@ def shown_parts(store: MeshStore, settings: Settings, world: str) -> tuple[list[
         if not frame:
             nameless += 1
             continue
-        shown.append(ShownPart(part.key, frame, pose, part.vertices, part.triangles, settings.markers_max_triangles))
+        shown.append(ShownPart(part.key, frame, pose, part.vertices, part.drawn, settings.markers_max_triangles))
     left = settings.markers_max_triangles
     for place in sorted(range(len(shown)), key=lambda place: len(shown[place].triangles)):
         left -= len(shown[place].triangles)

@@ -20,13 +20,26 @@ pytest.importorskip("yaml")
 
 from bag_maker import BagMaker, cloud, image, info, pixels, pose, read, transform
 
-from shadow_tracer import Bias, Bounds, Camera, DiscLight, DoseMap, PointLight, ShadowTracer, SpotLight, Strength
+from shadow_tracer import (
+    Bias,
+    Bounds,
+    Camera,
+    DirectionalLight,
+    DiscLight,
+    DoseMap,
+    PointLight,
+    ShadowTracer,
+    SpotLight,
+    Strength,
+)
 from shadow_tracer.apps import cli
 from shadow_tracer.apps.bag import bag
 from shadow_tracer.ros.wire.cdr import encode_mesh
 from shadow_tracer.ros.wire.cdr_markers import ADD, TRIANGLE_LIST, MarkerMessage, encode_marker, encode_markers
+from shadow_tracer.ros.wire.grid_map import GRID_MAP, GridMap, encode_grid_map
 from shadow_tracer.ros.wire.messages import rigid
 from shadow_tracer.scene.depth_mesh import depth_mesh
+from shadow_tracer.scene.sun import sun_direction
 
 ROOT = Path(__file__).resolve().parents[3]
 W, H, FOCAL = 64, 48, 60.0
@@ -77,6 +90,11 @@ def run(folder: Path, output: Path, *options: str, expect: int = 0) -> dict[str,
     given = [part for value in SMALL for part in ("--param", value)]
     assert cli.main(["bag", str(folder), str(output), *given, *options]) == expect
     return read(output) if expect in (0, 3) else {}
+
+
+def grid_of(message: Any) -> np.ndarray:
+    """(R, C) of a grid map, from the rows along x of an OccupancyGrid."""
+    return message.data.reshape(message.info.height, message.info.width).T[::-1, ::-1]
 
 
 def parameters(**values: Any) -> list[str]:
@@ -659,3 +677,43 @@ def test_a_dose_that_could_not_be_kept_is_refused_before(tmp_path: Path, capsys:
     dose = parameters(dose__parts="[mesh]", dose__folder=str(tmp_path / "none"))
     run(still_life().write(tmp_path / "in"), tmp_path / "out.mcap", *dose, expect=1)
     assert "dose.folder: expected a folder" in capsys.readouterr().err
+
+
+def test_ground_of_a_recording(tmp_path: Path) -> None:
+    """Maps without an image before them, with one, and one that cannot be used: grids and hours by the log's time."""
+    pytest.importorskip("ephem")
+    rows, columns = 9, 7
+    values = np.zeros((rows, columns), np.float32)
+    values[4, 2:5], values[0, 0] = 2.0, np.nan
+    stamp = 1_782_014_400 * SECOND  # 2026-06-21 04:00 UTC
+    ground = GridMap("map", stamp, 0.5, (0.0, 0.0), values)
+    made = BagMaker()
+    made.raw("/grid_map", GRID_MAP, encode_grid_map(ground, {"elevation": values}, starts=(4, 1)))
+    made.add(INFO, info(W, H, stamp, FOCAL))
+    made.add(DEPTH, image(depth_image(0), stamp))
+    made.raw("/grid_map", GRID_MAP, encode_grid_map(ground, {"height": values}))
+    folder = made.write(tmp_path / "drive")
+    sun = parameters(
+        fixed_frame="map", pose_source="parameter", lights__lamp__type="sun", lights__lamp__sun__latitude="48.0",
+        lights__lamp__sun__longitude="11.5", sun_map__hours="2.0", sun_map__step="60.0",
+    )  # fmt: skip
+    found = run(folder, tmp_path / "out.mcap", *sun, "--sun-map")
+    (grid,) = found["/shadow_tracer/shadow_grid"]
+    assert run(folder, tmp_path / "plain.mcap", *sun).keys() == found.keys() - {"/shadow_tracer/sun_map"}
+    tracer, known = ShadowTracer("brute_force", device="cpu", bounds=BOUNDS), ~np.isnan(values)
+    tracer.scene.put_surface("ground", ground.height_field())
+    points = ground.height_field().positions()[known] + (0.0, 0.0, 0.05)
+    dark = [
+        tracer.occluded(points, DirectionalLight("sun", sun_direction(stamp + k * 1800 * SECOND, 48.0, 11.5)[0]))
+        for k in (0, 1, 3)
+    ]
+    wanted = np.full(known.shape, -1)
+    wanted[known] = 100 * dark[0]
+    assert set(np.unique(wanted)) == {-1, 0, 100}
+    np.testing.assert_array_equal(grid_of(grid), wanted)
+    assert (grid.header.frame_id, grid.header.stamp.sec) == ("map", 1_782_014_400)
+    (sun_map,) = found["/shadow_tracer/sun_map"]
+    assert sun_map.layers == ["elevation", "sunlit", "hours"] and sun_map.basic_layers == ["elevation"]
+    hours = sun_map.data[2].data.reshape(columns, rows).T
+    np.testing.assert_array_equal(hours[known], 2.0 - dark[1] - dark[2])
+    assert np.isnan(hours[~known]).all()

@@ -26,7 +26,7 @@ class Inputs:
     """Meshes that come by topics which nobody has remapped."""
 
     def __init__(self) -> None:
-        self.meshes = MeshSources(100)
+        self.meshes = MeshSources(100, "elevation")
 
     def mismatch(self, *_: str) -> str:
         return ""

@@ -117,6 +117,13 @@ BAD = [
     ("bounds.max_lights", 65, "bounds.max_lights: expected integer (1 to 64), got 65"),
     ("bounds.queue_capacity", 2**30 + 1, "bounds.queue_capacity: expected integer (1 to 1073741824)"),
     ("bounds.grid_entries", 0, "bounds.grid_entries: expected integer (1 to 1073741823), got 0"),
+    ("grid_map.layer", "", "grid_map.layer: expected string (a name of 1 to 200 characters), got ''"),
+    ("grid_map.height_above", 0.0, "grid_map.height_above: expected double (0.001 to 100 m), got 0.0"),
+    ("grid_map.dark_value", 0, "grid_map.dark_value: expected integer (1 to 100), got 0"),
+    ("grid_map.period", 0.1, "grid_map.period: expected double (0.25 to 3600 s), got 0.1"),
+    ("sun_map.hours", 0.0, "sun_map.hours: expected double (0.25 to 744 h), got 0.0"),
+    ("sun_map.step", math.nan, "sun_map.step: expected double (1 to 240 min), got nan"),
+    ("sun_map.period", 0.0, "sun_map.period: expected double (0.25 to 86400 s), got 0.0"),
     ("diagnostics_period", 0.0, "diagnostics_period: expected double (0.1 to 1 s), got 0.0"),
     (
         "lights.lamp.type",

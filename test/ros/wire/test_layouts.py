@@ -24,6 +24,7 @@ from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 from shadow_tracer.ros.wire import layouts
 from shadow_tracer.ros.wire.cdr import encode_mesh, parse_mesh
 from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_marker, encode_markers, parse_marker, parse_markers
+from shadow_tracer.ros.wire.grid_map import GRID_MAP
 from shadow_tracer.ros.wire.layouts import MARKER, MARKERS, MESH, Layouts, marker_from, mesh_from
 from shadow_tracer.ros.wire.parts import PartError
 
@@ -153,7 +154,7 @@ def _or_none(read: Callable[[bytes], MarkerMessage], data: bytes) -> MarkerMessa
 
 
 def test_the_layouts_of_this_ros_are_as_expected() -> None:
-    assert Layouts().check() == {MESH: "", MARKER: "", MARKERS: ""}
+    assert Layouts().check() == {MESH: "", MARKER: "", MARKERS: "", GRID_MAP: ""}
 
 
 def triangles_message(count: int = 2) -> Mesh:
@@ -289,7 +290,7 @@ def _as_is(message: Mesh) -> Any:
 def test_without_ros_there_is_nothing_to_compare_with(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rclpy.serialization", None)
     lonely = Layouts()
-    assert lonely.check() == {MESH: "", MARKER: "", MARKERS: ""}
+    assert lonely.check() == {MESH: "", MARKER: "", MARKERS: "", GRID_MAP: ""}
     assert len(lonely.mesh(encode_mesh(np.eye(3), np.array([(0, 1, 2)])), 10).triangles) == 1
 
 

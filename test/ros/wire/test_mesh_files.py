@@ -438,7 +438,7 @@ def test_parts_say_what_their_files_hold_besides(tmp_path: Path) -> None:
     first = file_parts(names, 1.0)
     assert [part.left_out.rpartition(": ")[2] for part in first] == ["lines (1)", "", "lines (1)"]
     assert [part.left_out for part in file_parts(names, 1.0, first)] == [part.left_out for part in first]
-    sources = MeshSources(10)
+    sources = MeshSources(10, "elevation")
     sources.store.commit(Changes(first), 1)
     assert sources.left_out == (f"{names[0]}: left out, as it casts no shadow: lines (1)",)
 
