@@ -3,9 +3,10 @@
 7, nodes and milliseconds per frame in the BART robots scene, and Table 2, nodes and milliseconds in four views of a
 museum.
 
-Robots: six frames of the animation, 20 to 243, each seen by the camera of the animation. The light is that of the
-scene, 500 up, and the two triangles of the roof under it, which put everything in shadow, are left out. Without the
-data folder the robots of ``procedural.py`` walk.
+Robots: six frames of the animation, 20 to 243, each seen by the camera of the animation, and one straight at a wall, as
+the paper tells of a frame that is not among these. The light is that of the scene, 500 up, and the two triangles of the
+roof under it, which put everything in shadow, are left out. Without the data folder the robots of ``procedural.py``
+walk.
 
 Museum: that of ``procedural.py``, which has as many triangles as the paper's; and, where there are data, the BART
 museum with fewer triangles in its sculpture, four frames with the camera of each, lit by the first light of the scene.
@@ -17,6 +18,7 @@ compared: ``papers.py``.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,7 @@ _PAPER_NODES = {
     "precise": (17.58, 292.84, 2.24, 2163.30),
     "precise_sorted": (0.82, 2.25, 2.20, 1.97),
 }
+_EXPERIMENTS = ("figures 6 and 7", "table 2", "table 2, BART museum5")
 _COLORS = {
     "spheres": "tab:red",
     "precise": "tab:orange",
@@ -51,6 +54,8 @@ _COLORS = {
 }
 
 _ROOF = (230.0, 231.0)  # between these heights lie the corners of the robots' roof and no others
+# Ours: eye and direction, the width of the image plane at distance 1, which of the frames it is in.
+_WALL, _WALL_WIDTH, _WALL_FRAME = ((5.0, 30.0, -195.0), (1.0, 0.0, 0.0)), 1.1, 3
 _MUSEUM = (("centre", "corner"), ("centre", "inside"), ("wallview", "inside"), ("room", "inside"))
 
 
@@ -78,7 +83,13 @@ def bart(size: int) -> list[Still]:
     heights = data["vertices"][data["triangles"]][..., 1]
     roof = ((heights > _ROOF[0]) & (heights < _ROOF[1])).all(axis=1)
     print(f"BART robots: {len(roof) - roof.sum():,} triangles, {roof.sum()} of the roof left out")
-    return _stills("frame", data, [str(frame) for frame in data["frames"]], data["triangles"][~roof], size)
+    stills = _stills("frame", data, [str(frame) for frame in data["frames"]], data["triangles"][~roof], size)
+    from_here = stills[_WALL_FRAME]
+    pose = procedural.look_at(_WALL[0], np.add(*_WALL), (0.0, 1.0, 0.0))
+    middle = 0.5 * size - 0.5
+    camera = Camera(size, size, size / _WALL_WIDTH, size / _WALL_WIDTH, middle, middle, pose)
+    depth = photograph(from_here.vertices, from_here.triangles, camera)
+    return [*stills, replace(from_here, name="a wall", camera=camera, depth=depth)]
 
 
 def bart_museum(size: int) -> list[Still]:
@@ -227,6 +238,18 @@ def draw_museums(museums: dict[str, list[dict[str, Any]]], size: int, path: Path
     save(figure, path)
 
 
+def _experiments(options: argparse.Namespace) -> list[tuple[str, list[Still], tuple[str, ...]]]:
+    """What is asked for and there: name, stills, variants."""
+    figures, procedural_museum, museum5 = (name in options.experiments for name in _EXPERIMENTS)
+    robots = bart(options.size) if figures and not options.procedural else []
+    if figures and not robots:
+        robots = walkers(options.size, options.triangles)
+    made = museum(options.museum_size, options.triangles) if procedural_museum else []
+    real = bart_museum(options.museum_size) if museum5 and not options.procedural else []
+    variants = (_VARIANTS, _TABLE_2, _TABLE_2)
+    return list(zip(_EXPERIMENTS, (robots, made, real), variants, strict=True))
+
+
 def main() -> None:
     """Measure, print and draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -238,6 +261,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=3, help="frames per figure; fewer for what takes long")
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--two-sided", action="store_true", help="triangles that face the light cast shadows, too")
+    parser.add_argument("--experiments", nargs="+", default=list(_EXPERIMENTS), choices=_EXPERIMENTS)
     parser.add_argument("--procedural", action="store_true", help="the procedural robots even where there are data")
     parser.add_argument("--out", type=Path, help="folder for the pictures; none are drawn without it")
     parser.add_argument("--json", help="file to write")
@@ -245,13 +269,7 @@ def main() -> None:
     title = "Cone hierarchy: the paper's figures 6 and 7, and Table 2"
     header(title)
     print(threads(1) + "\n")
-    robots = [] if options.procedural else bart(options.size)
-    robots = robots or walkers(options.size, options.triangles)
-    experiments = [
-        ("figures 6 and 7", robots, _VARIANTS),
-        ("table 2", museum(options.museum_size, options.triangles), _TABLE_2),
-        ("table 2, BART museum5", [] if options.procedural else bart_museum(options.museum_size), _TABLE_2),
-    ]
+    experiments = _experiments(options)
     rows = {}
     for name, stills, variants in experiments:
         if not stills:
@@ -263,11 +281,11 @@ def main() -> None:
         _show([row for row in rows[name] if row["variant"] in _FIGURE_6], stills, "below the root", compact)
         _show(rows[name], stills, "ms", lambda ms: f"{ms:.1f}")
         _show([row for row in rows[name] if row["sort"] > 0], stills, "sort", lambda part: f"{100 * part:.0f} %")
-        if options.out and stills is robots:
+        if options.out and name == _EXPERIMENTS[0]:
             draw(rows[name], bench, stills, options.out / "papers_cone_figures_6_and_7.png")
         everything = [{"experiment": key, **row} for key, found in rows.items() for row in found]
         write_json(title, everything, options.json)
-    if options.out:
+    if options.out and len(rows) > (_EXPERIMENTS[0] in rows):
         museums = {"procedural" if key == "table 2" else "BART": rows[key] for key in rows if key.startswith("table 2")}
         draw_museums(museums, options.museum_size, options.out / "papers_cone_table_2.png")
 
