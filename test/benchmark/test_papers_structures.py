@@ -25,7 +25,7 @@ _ELSEWHERE = {
 
 
 def _view() -> View:
-    return procedural_view("stadium", "pot", "inside", 12, 400, 2)
+    return procedural_view("stadium", "pot", "inside", 12, 400, 3)
 
 
 def test_no_structure_is_forgotten() -> None:
@@ -60,10 +60,10 @@ def test_what_takes_too_long_is_left_out_and_said(capsys: pytest.CaptureFixture[
 
 
 def test_a_wrong_mask_has_no_row() -> None:
-    case = Case(_view(), 2)
+    case = Case(_view(), 3)
     structure = papers_structures.Structure("octree/parametric", case)
     structure.turn()
-    case.static[1][0, 3] ^= True
+    case.static[2][0, 3] ^= True
     with pytest.raises(SystemExit, match="octree/parametric differs from mesh_bvh in 1 rays"):
         structure.turn()
 
