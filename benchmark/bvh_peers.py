@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pipeline ``bvh`` beside Embree, ``wp.Mesh`` and ``mesh_bvh``: build, refit and any hit, each apart.
 
-Methods take turns in one process; times are processor time of one thread, medians. *any hit* is what stands between
-rays and answers: Embree's and Warp's query on rays that are there, our walk on rays in the light's frame, exact
-decision and all. Trees were built for other positions of the same mesh and refitted, except for Embree's, which is
-built. *whole* is ``ShadowTracer.trace``, from depth image to mask. The answers of every query are compared: one of ours
-that is not that of ``mesh_bvh`` stops the program.
+Methods take turns in one process, medians. With one thread (``--threads 1``) times are processor time, with several
+wall time, of the slowest of ours: then nobody else should use the machine. *any hit* is what stands between rays and
+answers: Embree's and Warp's query on rays that are there, our walk on rays in the light's frame, exact decision and
+all. Trees were built for other positions of the same mesh and refitted, except for Embree's, which is built. *whole* is
+``ShadowTracer.trace``, from depth image to mask. The answers of every query are compared: one of ours that is not that
+of ``mesh_bvh`` stops the program.
 
 ``single`` sends rays one by one through the tree of ``sah``.
 """
@@ -13,16 +14,16 @@ that is not that of ``mesh_bvh`` stops the program.
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 from statistics import median
+from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from case import Case, hidden
-from report import header, table, write_json
+from report import header, table, threads, write_json
 from rivals import Embree, WarpMesh, missing
 from scenes import View, views
 
@@ -32,44 +33,42 @@ REAL = ("BART robots", "Sponza", "Sibenik", "conference")
 _VARIANTS = ("bvh/sah", "bvh/sah single", "bvh/median", "bvh/lbvh", "bvh/threaded", "mesh_bvh/refit")
 
 
-def _timed(call: Callable[[], Any]) -> tuple[float, Any]:
-    """Milliseconds of the processor, and what the call returns."""
-    begin = time.process_time()
-    found = call()
-    return (time.process_time() - begin) * 1e3, found
+class _Clock:
+    """Of the processor with one thread, else that on the wall."""
+
+    def __init__(self, threads: int) -> None:
+        self.now: Callable[[], float] = time.process_time if threads == 1 else time.perf_counter
+
+    def timed(self, call: Callable[[], Any]) -> tuple[float, Any]:
+        """Milliseconds, and what the call returns."""
+        begin = self.now()
+        found = call()
+        return (self.now() - begin) * 1e3, found
 
 
 class _Ours:
-    """A tracer whose pipeline's steps are timed apart."""
+    """A tracer whose stages are timed apart."""
 
-    def __init__(self, name: str, case: Case) -> None:
-        self.name, self._case = name, case
-        self._tracer = ShadowTracer(*name.split(" ")[0].split("/"), device="cpu", bounds=case.bounds(), threads=1)
-        self._pipeline = self._tracer._engine.inside._pipeline
+    def __init__(self, name: str, case: Case, clock: _Clock, threads: int) -> None:
+        self.name, self._case, self._clock = name, case, clock
+        names = name.split(" ")[0].split("/")
+        self._tracer = ShadowTracer(*names, device="cpu", bounds=case.bounds(), threads=threads)
         if name.endswith("single"):
             from shadow_tracer.gpu.accelerators.bvh.bvh import SINGLE
 
-            self._pipeline.walk = SINGLE
-        self._spent: dict[str, float] = {}
-        for step in ("build", "show"):
-            self._watch(step, getattr(self._pipeline, step))
+            walker: Any = self._tracer._engine.inside._pipeline
+            walker.build.walk = SINGLE
         self._turn = 0
 
-    def _watch(self, step: str, call: Callable[..., Any]) -> None:
-        def watched(*arguments: Any) -> Any:
-            self._spent[step], found = _timed(lambda: call(*arguments))
-            return found
-
-        setattr(self._pipeline, step, watched)
-
     def _trace(self, frame: int) -> tuple[float, float, float]:
-        shot, lights = self._case.frames[frame].shot, self._case.lights
-        self._spent["build"] = 0.0
-        whole, found = _timed(lambda: self._tracer.trace(shot.depth, shot.camera, lights, bias=self._case.view.bias))
+        """Milliseconds of the structure, of the walk, and of all."""
+        shot, lights, bias = self._case.frames[frame].shot, self._case.lights, self._case.view.bias
+        with mock.patch("shadow_tracer.gpu.device.stages.time", SimpleNamespace(perf_counter=self._clock.now)):
+            whole, found = self._clock.timed(lambda: self._tracer.trace(shot.depth, shot.camera, lights, bias=bias))
         wrong = int((hidden(found, lights, self._case.frames[frame]) != self._case.dynamic[frame]).sum())
         if wrong:
             raise SystemExit(f"{self._case.view.name}: {self.name} differs from mesh_bvh in {wrong} rays")
-        return self._spent["build"], self._spent["show"], whole
+        return found.stages.get("build", 0.0), found.stages["trace"], whole
 
     def turn(self) -> dict[str, float]:
         """Build, refit, and ask."""
@@ -89,13 +88,13 @@ class _Embree:
 
     name = "Embree"
 
-    def __init__(self, case: Case) -> None:
-        self._case, self._peer = case, Embree(case)
+    def __init__(self, case: Case, clock: _Clock) -> None:
+        self._case, self._peer, self._clock = case, Embree(case), clock
 
     def turn(self) -> dict[str, float]:
         """Build and ask."""
-        both, _ = _timed(lambda: self._peer.dynamic(0))
-        query, found = _timed(lambda: self._peer.static(0))
+        both, _ = self._clock.timed(lambda: self._peer.dynamic(0))
+        query, found = self._clock.timed(lambda: self._peer.static(0))
         return {
             "build ms": both - query,
             "any hit ms": query,
@@ -108,26 +107,26 @@ class _WarpMesh:
 
     name = "wp.Mesh"
 
-    def __init__(self, case: Case) -> None:
-        self._case = case
+    def __init__(self, case: Case, clock: _Clock) -> None:
+        self._case, self._clock = case, clock
         self._built, self._refitted = WarpMesh(case, build=True), WarpMesh(case, build=False)
 
     def turn(self) -> dict[str, float]:
         """Build, refit, and ask."""
-        built, _ = _timed(lambda: self._built.dynamic(0))
-        first, _ = _timed(lambda: self._built.static(0))
+        built, _ = self._clock.timed(lambda: self._built.dynamic(0))
+        first, _ = self._clock.timed(lambda: self._built.static(0))
         self._refitted.dynamic(1)
-        refitted, _ = _timed(lambda: self._refitted.dynamic(0))
-        query, found = _timed(lambda: self._refitted.static(0))
+        refitted, _ = self._clock.timed(lambda: self._refitted.dynamic(0))
+        query, found = self._clock.timed(lambda: self._refitted.static(0))
         wrong = self._refitted.wrong(0, found, self._case.dynamic[0])
         return {"build ms": built - first, "refit ms": refitted - query, "any hit ms": query, "wrong": wrong}
 
 
-def measure(view: View, turns: int) -> list[dict[str, Any]]:
+def measure(view: View, turns: int, cores: int) -> list[dict[str, Any]]:
     """Rows of a view."""
-    case = Case(view, 2)
-    methods: list[Any] = [_Embree(case)] if "Embree" not in missing() else []
-    methods += [_WarpMesh(case), *(_Ours(name, case) for name in _VARIANTS)]
+    case, clock = Case(view, 2), _Clock(cores)
+    methods: list[Any] = [_Embree(case, clock)] if "Embree" not in missing() else []
+    methods += [_WarpMesh(case, clock), *(_Ours(name, case, clock, cores) for name in _VARIANTS)]
     taken: dict[str, list[dict[str, float]]] = {method.name: [] for method in methods}
     for turn in range(turns + 1):
         for method in methods:
@@ -136,7 +135,7 @@ def measure(view: View, turns: int) -> list[dict[str, Any]]:
                 taken[method.name].append(found)
     rows = []
     for method in methods:
-        row: dict[str, Any] = {"view": view.name, "method": method.name}
+        row: dict[str, Any] = {"view": view.name, "threads": cores, "method": method.name}
         for column in ("build ms", "refit ms", "any hit ms", "whole ms"):
             times = [found[column] for found in taken[method.name] if column in found]
             row[column] = round(median(times), 2) if times else ""
@@ -157,13 +156,15 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=512, help="image width and height [px]")
     parser.add_argument("--views", nargs="+", default=list(REAL), metavar="VIEW")
     parser.add_argument("--turns", type=int, default=9, help="of which the median is given")
-    parser.add_argument("--json", type=Path, help="a file for the rows")
+    parser.add_argument("--threads", type=int, default=1, help="of each method")
+    parser.add_argument("--json", help="a file for the rows")
     options = parser.parse_args()
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     header("bvh beside its peers")
-    rows = [row for view in views(options.size, options.views) for row in measure(view, options.turns)]
-    if options.json:
-        write_json(options.json, {"rows": rows})
+    print(threads(options.threads))
+    rows: list[dict[str, Any]] = []
+    for view in views(options.size, options.views):
+        rows += measure(view, options.turns, options.threads)
+        write_json("bvh beside its peers", rows, options.json)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,13 @@
 7, nodes and milliseconds per frame in the BART robots scene, and Table 2, nodes and milliseconds in four views of a
 museum.
 
-Robots: the frames of the animation that the data folder has, 10 to 12 s; at the 16 frames a second of the animation
-these are frames 160 to 192 of 800. Each is seen three times: by the camera of the animation, which turns from robots to
-a wall there; down the street, as the paper's frame 105 is said to look; and straight at a wall, as its frame 160. The
-light is that of the scene, 500 up, and the two triangles of the roof under it, which put everything in shadow, are left
-out. Without the data folder the robots of ``procedural.py`` walk.
+Robots: six frames of the animation, 20 to 243, each seen by the camera of the animation, and one straight at a wall, as
+the paper tells of a frame that is not among these. The light is that of the scene, 500 up, and the two triangles of the
+roof under it, which put everything in shadow, are left out. Without the data folder the robots of ``procedural.py``
+walk.
 
-Museum: that of ``procedural.py``, as the BART museum is not in the data folder.
+Museum: that of ``procedural.py``, which has as many triangles as the paper's; and, where there are data, the BART
+museum with fewer triangles in its sculpture, four frames with the camera of each, lit by the first light of the scene.
 
 Like the paper, triangles that face the light are left out (``--two-sided`` keeps them). How times are taken and masks
 compared: ``papers.py``.
@@ -18,6 +18,7 @@ compared: ``papers.py``.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ _PAPER_NODES = {
     "precise": (17.58, 292.84, 2.24, 2163.30),
     "precise_sorted": (0.82, 2.25, 2.20, 1.97),
 }
+_EXPERIMENTS = ("figures 6 and 7", "table 2", "table 2, BART museum5")
 _COLORS = {
     "spheres": "tab:red",
     "precise": "tab:orange",
@@ -51,47 +53,51 @@ _COLORS = {
     "linear": "black",
 }
 
-_FRAME_RATE = 16.0
-# The camera of the animation at the times of the data folder, to a tenth: eye and direction.
-_ANIMATED = (
-    ((4.9, 17.2, -162.2), (-0.43, -0.21, -0.88)),
-    ((6.1, 16.8, -163.8), (-0.54, -0.19, -0.82)),
-    ((6.6, 16.2, -164.9), (-0.64, -0.17, -0.75)),
-    ((6.0, 15.6, -164.9), (-0.73, -0.15, -0.67)),
-    ((4.4, 14.5, -164.4), (-0.80, -0.13, -0.58)),
-)
-# Ours: eye and direction, the width of the image plane at distance 1.
-_STREET = ((-7.0, 6.0, -140.0), (7.0, -3.0, -25.0)), 1.1
-_WALL = ((5.0, 30.0, -195.0), (1.0, 0.0, 0.0)), 1.1
-_ANIMATED_WIDTH = 0.67
-_ROOF = (230.0, 231.0)  # between these heights lie the roof's corners and no others
+_ROOF = (230.0, 231.0)  # between these heights lie the corners of the robots' roof and no others
+# Ours: eye and direction, the width of the image plane at distance 1, which of the frames it is in.
+_WALL, _WALL_WIDTH, _WALL_FRAME = ((5.0, 30.0, -195.0), (1.0, 0.0, 0.0)), 1.1, 3
 _MUSEUM = (("centre", "corner"), ("centre", "inside"), ("wallview", "inside"), ("room", "inside"))
 
 
+def _animated(data: dict[str, np.ndarray], k: int, size: int) -> Camera:
+    """The camera of a frame of an animation, with square images as the paper's."""
+    focal, middle = 0.5 * size / np.tan(0.5 * np.radians(float(data["fov_y_degrees"]))), 0.5 * size - 0.5
+    return Camera(size, size, focal, focal, middle, middle, data["camera"][k])
+
+
+def _stills(name: str, data: dict[str, np.ndarray], labels: list[str], triangles: np.ndarray, size: int) -> list[Still]:
+    light = PointLight(f"light of the {name}", data["lights"][0])
+    stills = []
+    for k, label in enumerate(labels):
+        positions, camera = data["vertices_t"][k].astype(np.float64), _animated(data, k, size)
+        depth = photograph(positions, triangles, camera)
+        stills.append(Still(f"{name} {label}", positions, triangles, camera, depth, light, 0.01))
+    return stills
+
+
 def bart(size: int) -> list[Still]:
-    """The frames of the data folder, in three views; none without it."""
-    data = load("bart_robots_t10")
+    """The frames of the data folder; none without it."""
+    data = load("bart_robots_frames")
     if data is None:
         return []
     heights = data["vertices"][data["triangles"]][..., 1]
     roof = ((heights > _ROOF[0]) & (heights < _ROOF[1])).all(axis=1)
-    triangles = data["triangles"][~roof]
-    print(f"BART robots: {len(triangles):,} triangles, {roof.sum()} of the roof left out")
-    light = PointLight("scene light", data["lights"][0])
-    stills = []
-    for name in ("camera", "street", "wall"):
-        for k, (vertices, time) in enumerate(zip(data["vertices_t"], data["times"], strict=True)):
-            (eye, way), width = _STREET if name == "street" else _WALL
-            if name == "camera":
-                (eye, way), width = _ANIMATED[k], _ANIMATED_WIDTH
-            pose = procedural.look_at(eye, np.add(eye, way), (0.0, 1.0, 0.0))
-            middle = 0.5 * size - 0.5
-            camera = Camera(size, size, size / width, size / width, middle, middle, pose)
-            positions = vertices.astype(np.float64)
-            depth = photograph(positions, triangles, camera)
-            still = f"{name} {round(float(time) * _FRAME_RATE)}"
-            stills.append(Still(still, positions, triangles, camera, depth, light, 0.01))
-    return stills
+    print(f"BART robots: {len(roof) - roof.sum():,} triangles, {roof.sum()} of the roof left out")
+    stills = _stills("frame", data, [str(frame) for frame in data["frames"]], data["triangles"][~roof], size)
+    from_here = stills[_WALL_FRAME]
+    pose = procedural.look_at(_WALL[0], np.add(*_WALL), (0.0, 1.0, 0.0))
+    middle = 0.5 * size - 0.5
+    camera = Camera(size, size, size / _WALL_WIDTH, size / _WALL_WIDTH, middle, middle, pose)
+    depth = photograph(from_here.vertices, from_here.triangles, camera)
+    return [*stills, replace(from_here, name="a wall", camera=camera, depth=depth)]
+
+
+def bart_museum(size: int) -> list[Still]:
+    """The same of the museum."""
+    data = load("bart_museum5")
+    if data is None:
+        return []
+    return _stills("museum5", data, [f"{time:g} s" for time in data["times"]], data["triangles"], size)
 
 
 def walkers(size: int, triangles: int) -> list[Still]:
@@ -190,11 +196,7 @@ def draw(rows: list[dict[str, Any]], bench: Bench, stills: list[Still], path: Pa
             if column == 0:
                 axes.set_ylim(top=8.0 * axes.get_ylim()[1])
                 axes.legend(fontsize=7, ncols=3, loc="upper right")
-    views = [
-        [still for still in stills if still.name.split()[0] == name]
-        for name in dict.fromkeys(n.split()[0] for n in names)
-    ]
-    chosen_stills = [views[0][0], views[0][2], views[0][-1], views[1][0], views[1][-1], views[2][0]]
+    chosen_stills = [stills[k] for k in np.linspace(0, len(stills) - 1, 6).round().astype(int)]
     for k, still in enumerate(chosen_stills):
         axes = figure.add_subplot(places[2, k])
         axes.imshow(_thumbnail(still, bench.mask(still)), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
@@ -214,23 +216,38 @@ def _thumbnail(still: Still, states: np.ndarray) -> np.ndarray:
     return np.where(state == State.LIT, shade, 0.35 * shade) * (state != State.INVALID)
 
 
-def draw_museum(rows: list[dict[str, Any]], stills: list[Still], path: Path) -> None:
+def draw_museums(museums: dict[str, list[dict[str, Any]]], size: int, path: Path) -> None:
     """Table 2: nodes in the paper's four views, and in ours."""
     pyplot = plotting()
 
-    figure, both = pyplot.subplots(1, 2, figsize=(9.5, 3.6), sharey=True, layout="constrained")
-    ours = {v: tuple(row["nodes"] / 1e6 for row in rows if row["variant"] == v) for v in _FIGURE_6}
-    titles = ("the paper's Table 2, 1024 x 1024", f"here, {stills[0].camera.width} x {stills[0].camera.height}")
-    for axes, values, title in zip(both, (_PAPER_NODES, ours), titles, strict=True):
+    figure, panels = pyplot.subplots(
+        1, 1 + len(museums), figsize=(5.0 * (1 + len(museums)), 3.6), sharey=True, layout="constrained"
+    )
+    shown = {"the paper's Table 2, 1024 x 1024": (_PAPER_NODES, [f"view {k + 1}" for k in range(4)])}
+    for name, rows in museums.items():
+        nodes = {v: tuple(row["nodes"] / 1e6 for row in rows if row["variant"] == v) for v in _FIGURE_6}
+        shown[f"here, {name}, {size} x {size}"] = nodes, list(dict.fromkeys(row["still"] for row in rows))
+    for axes, (title, (values, labels)) in zip(panels, shown.items(), strict=True):
         for k, variant in enumerate(_FIGURE_6):
             places = np.arange(4) + 0.2 * (k - 1.5)
             axes.bar(places, values[variant], 0.2, color=_COLORS[variant], label=variant)
         axes.set_yscale("log")
-        labels = [f"view {k + 1}" for k in range(4)] if values is _PAPER_NODES else [still.name for still in stills]
         axes.set_xticks(range(4), labels)
         axes_style(axes, title, "", "million nodes" if values is _PAPER_NODES else "")
-    both[0].legend(fontsize=7)
+    panels[0].legend(fontsize=7)
     save(figure, path)
+
+
+def _experiments(options: argparse.Namespace) -> list[tuple[str, list[Still], tuple[str, ...]]]:
+    """What is asked for and there: name, stills, variants."""
+    figures, procedural_museum, museum5 = (name in options.experiments for name in _EXPERIMENTS)
+    robots = bart(options.size) if figures and not options.procedural else []
+    if figures and not robots:
+        robots = walkers(options.size, options.triangles)
+    made = museum(options.museum_size, options.triangles) if procedural_museum else []
+    real = bart_museum(options.museum_size) if museum5 and not options.procedural else []
+    variants = (_VARIANTS, _TABLE_2, _TABLE_2)
+    return list(zip(_EXPERIMENTS, (robots, made, real), variants, strict=True))
 
 
 def main() -> None:
@@ -244,6 +261,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=3, help="frames per figure; fewer for what takes long")
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--two-sided", action="store_true", help="triangles that face the light cast shadows, too")
+    parser.add_argument("--experiments", nargs="+", default=list(_EXPERIMENTS), choices=_EXPERIMENTS)
     parser.add_argument("--procedural", action="store_true", help="the procedural robots even where there are data")
     parser.add_argument("--out", type=Path, help="folder for the pictures; none are drawn without it")
     parser.add_argument("--json", help="file to write")
@@ -251,13 +269,11 @@ def main() -> None:
     title = "Cone hierarchy: the paper's figures 6 and 7, and Table 2"
     header(title)
     print(threads(1) + "\n")
-    robots = [] if options.procedural else bart(options.size)
-    robots = robots or walkers(options.size, options.triangles)
+    experiments = _experiments(options)
     rows = {}
-    for name, stills, variants in (
-        ("figures 6 and 7", robots, _VARIANTS),
-        ("table 2", museum(options.museum_size, options.triangles), _TABLE_2),
-    ):
+    for name, stills, variants in experiments:
+        if not stills:
+            continue
         print(f"\n{name}: {len(stills[0].triangles):,} triangles, {stills[0].camera.width} x {stills[0].camera.height}")
         bench = Bench(stills, options.device, not options.two_sided)
         rows[name] = measure(bench, stills, variants, options.frames)
@@ -265,14 +281,13 @@ def main() -> None:
         _show([row for row in rows[name] if row["variant"] in _FIGURE_6], stills, "below the root", compact)
         _show(rows[name], stills, "ms", lambda ms: f"{ms:.1f}")
         _show([row for row in rows[name] if row["sort"] > 0], stills, "sort", lambda part: f"{100 * part:.0f} %")
-        if options.out:
-            number = name.replace(" ", "_")
-            if name == "table 2":
-                draw_museum(rows[name], stills, options.out / f"papers_cone_{number}.png")
-            else:
-                draw(rows[name], bench, stills, options.out / f"papers_cone_{number}.png")
+        if options.out and name == _EXPERIMENTS[0]:
+            draw(rows[name], bench, stills, options.out / "papers_cone_figures_6_and_7.png")
         everything = [{"experiment": key, **row} for key, found in rows.items() for row in found]
         write_json(title, everything, options.json)
+    if options.out and len(rows) > (_EXPERIMENTS[0] in rows):
+        museums = {"procedural" if key == "table 2" else "BART": rows[key] for key in rows if key.startswith("table 2")}
+        draw_museums(museums, options.museum_size, options.out / "papers_cone_table_2.png")
 
 
 if __name__ == "__main__":

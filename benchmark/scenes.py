@@ -58,6 +58,18 @@ _REAL = (
     ("conference", "conference", (1000, 450, 400), (200, 100, -300), (300, 550, -200), 1.0),
 )
 
+# The same, and which axis is up: what else there are data for.
+_MORE = (
+    ("teapot", "utah_teapot", (0, 3, 5.4), (0, 1.5, 0), (4, 8, 5), 1e-3, (0, 1, 0)),
+    ("bunny", "stanford_bunny", (-0.01, 0.14, 0.2), (-0.02, 0.11, 0), (0.2, 0.4, 0.3), 1e-5, (0, 1, 0)),
+    ("dragon", "stanford_dragon_res2", (0, 0.17, 0.22), (0, 0.12, 0), (0.2, 0.4, 0.3), 1e-5, (0, 1, 0)),
+    ("armadillo", "armadillo_86k", (0.3, 0.2, -1.1), (0, 0, 0), (1.2, 1.5, -0.8), 1e-4, (0, 1, 0)),
+    ("Cornell box", "cornell_box", (0, 1, 3.4), (0, 1, 0), (0, 1.5, 0), 1e-3, (0, 1, 0)),
+    ("hospital", "aws_hospital", (-7, -24.5, 1.7), (-10.6, -29.5, 0.5), (-9.6, -27.2, 1.4), 0.01, (0, 0, 1)),
+    ("Mars", "mars_jezero_neretva", (200, 200, 60), (500, 500, 0), (-500, 500, 150), 0.05, (0, 0, 1)),
+    ("Jacksboro", "terrain_jacksboro", (5e3, -5e3, 4e3), (1.5e4, -1.6e4, 500), (-2e4, -1.6e4, 4e3), 5.0, (0, 0, 1)),
+)
+
 # sequence, first frame, frames between two, light, bias [m]: above the noise of the depth and the error of the mesh
 _RECORDED = (
     ("livingroom1", 0, 10, (0.55, -0.48, 1.36), 0.04),
@@ -107,12 +119,13 @@ def data_folder() -> Path | None:
 
 def names() -> list[str]:
     """The names of all views, whether there are data for them or not."""
-    return [*(row[0] for row in (*_REAL, *_RECORDED)), "workshop", *("/".join(row) for row in _PROCEDURAL)]
+    return [*(row[0] for row in (*_REAL, *_MORE, *_RECORDED)), "workshop", *("/".join(row) for row in _PROCEDURAL)]
 
 
 def views(size: int, wanted: list[str]) -> Iterator[View]:
     """The views among ``wanted`` that there are data for, made one by one; says what it skips."""
-    makers: dict[str, Callable[[int], View | None]] = {row[0]: partial(_real, *row) for row in _REAL}
+    makers: dict[str, Callable[[int], View | None]] = {row[0]: partial(_real, *row, (0, 1, 0)) for row in _REAL}
+    makers.update({row[0]: partial(_real, *row) for row in _MORE})
     makers.update({row[0]: partial(_recorded, *row) for row in _RECORDED})
     makers["workshop"] = _workshop
     makers.update({"/".join(row): partial(procedural_view, *row) for row in _PROCEDURAL})
@@ -131,6 +144,7 @@ def _real(
     target: tuple[float, float, float],
     light: tuple[float, float, float],
     bias: float,
+    up: tuple[float, float, float],
     size: int,
 ) -> View | None:
     folder = data_folder()
@@ -145,7 +159,7 @@ def _real(
         # The meshes stand still: a shift below the bias makes every frame a new one and changes no picture.
         positions = np.stack([vertices + shift * bias * 1e-3 for shift in range(4)])
     middle = 0.5 * size - 0.5
-    pose = procedural.look_at(eye, target, (0, 1, 0))
+    pose = procedural.look_at(eye, target, up)
     camera = Camera(size, size, 0.9 * size, 0.9 * size, middle, middle, pose)
     return View(name, positions, archive["triangles"], camera, PointLight("lamp", light), bias)
 
