@@ -36,9 +36,9 @@ class ConeAnswers:
     """The part of :class:`ShadowTracer` that is asked about cones.
 
     A cone has an apex and an axis; one with an end is cut off across the axis there. All triangles count of the meshes
-    that cast shadows, from both sides, whatever ``front_face_culling`` is, but for those of meshes that the light ignores
-    of cones to one. Those without area, or with a corner that is not finite, do not. Answers come from the tree of
-    pipeline ``bvh/sah``, whatever pipeline traces; it and the buffers are made when a cone is first asked about, and
+    that cast shadows, from both sides, whatever ``front_face_culling`` is, but for those of meshes that the light
+    ignores of cones to one. Those without area, or with a corner that is not finite, do not. Answers come from the tree
+    of pipeline ``bvh/sah``, whatever pipeline traces; it and the buffers are made when a cone is first asked about, and
     count in ``device_bytes``.
     """
 

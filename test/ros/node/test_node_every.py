@@ -96,7 +96,8 @@ def test_one_that_waits_holds_up_the_others() -> None:
 def test_images_that_come_while_kernels_load_are_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = threading.Event()
     warm_up = tracer_host.ShadowTracer.warm_up
-    monkeypatch.setattr(tracer_host.ShadowTracer, "warm_up", lambda self: gate.wait(60.0) and warm_up(self))
+    held = lambda self, **what: gate.wait(60.0) and warm_up(self, **what)  # noqa: E731
+    monkeypatch.setattr(tracer_host.ShadowTracer, "warm_up", held)
     with Rig(start=False) as rig:
         rig.start(EVERY, wait=False)
         rig.connected()

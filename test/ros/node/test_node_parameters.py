@@ -13,6 +13,7 @@ import probe
 import pytest
 import test_node_cameras
 import test_node_dose
+import test_node_ground
 import test_node_lights
 import test_node_markers
 from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, nanoseconds, plate, wall
@@ -628,6 +629,15 @@ SHOWN_BELOW = {
     **{
         f"dose.{key}": test_node_dose.test_dose_of_a_part
         for key in ("parts", "target", "goal", "max_edge", "side", "folder")
+    },
+    "grid_map.layer": test_node_ground.test_a_map_casts_shadow_moves_and_goes,
+    **{
+        f"grid_map.{key}": test_node_ground.test_shadow_grid_is_what_the_library_says_of_points_over_the_ground
+        for key in ("height_above", "dark_value", "period")
+    },
+    **{
+        f"sun_map.{key}": test_node_ground.test_sun_map_counts_hours_of_the_ground_alone
+        for key in ("hours", "step", "period")
     },
     "bounds.max_triangles": test_bounds_that_refuse,
     "bounds.max_rays": test_bounds_that_refuse,

@@ -100,7 +100,8 @@ def test_meanwhile_the_node_answers_and_frames_wait(rig: Rig, monkeypatch: pytes
 def test_a_node_that_starts_tests_itself_when_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = threading.Event()
     warm_up = tracer_host.ShadowTracer.warm_up
-    monkeypatch.setattr(tracer_host.ShadowTracer, "warm_up", lambda self: gate.wait(60.0) and warm_up(self))
+    held = lambda self, **what: gate.wait(60.0) and warm_up(self, **what)  # noqa: E731
+    monkeypatch.setattr(tracer_host.ShadowTracer, "warm_up", held)
     monkeypatch.setattr(tracer_host, "run", lambda *_, **__: [Result("light_grid", "packed", True, 0, 0.1, "")])
     with Rig(start=False) as rig:
         rig.start(wait=False)
