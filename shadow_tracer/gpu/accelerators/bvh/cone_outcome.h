@@ -1,4 +1,4 @@
-// needs: exact/decision.h accelerators/bvh/cone_walk.h
+// needs: exact/decision.h cone_walk
 // constants: CONE_FREE CONE_PARTLY CONE_BLOCKED CONE_ADDED
 // arguments: ConeScene scene, ConesAsked asked
 // What is certain of a cone: cones.py says why.

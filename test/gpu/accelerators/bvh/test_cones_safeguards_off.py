@@ -46,11 +46,11 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
         "reaches_through",
         ("exact/cone.h", "return cut_by(p) && on_side", "return on_side"),
     ),
-    "bands that forgive": (_OUTCOMES, "rims", ("accelerators/bvh/cones.py", "CONE_BAND=1e-13", "CONE_BAND=-1e-13")),
+    "bands that forgive": (_OUTCOMES, "rims", ("accelerators/cone_kernels.py", "CONE_BAND=1e-13", "CONE_BAND=-1e-13")),
     "rough bands that forgive": (
         _OUTCOMES,
         "rims",
-        ("accelerators/bvh/cones.py", "CONE_ROUGH=2.0**-17", "CONE_ROUGH=-0.1"),
+        ("accelerators/cone_kernels.py", "CONE_ROUGH=2.0**-17", "CONE_ROUGH=-0.1"),
     ),
     "ties in any order": (
         _HITS,
