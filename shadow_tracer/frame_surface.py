@@ -58,12 +58,8 @@ class FrameSurface:
         self._camera = camera
         self._scene = scene
         self._revision = scene.revision
-        self._parts = [(mesh.name, mesh.vertices, mesh.triangles, mesh.pose) for mesh in scene]  # never changed
+        self._meshes = [mesh.snapshot() for mesh in scene]
         self._device = device
-
-    @cached_property
-    def _meshes(self) -> list[Mesh]:
-        return [Mesh(*part) for part in self._parts]
 
     @cached_property
     def metres(self) -> FloatArray:
@@ -93,7 +89,7 @@ class FrameSurface:
             there = np.abs(self.metres - depth) <= LARGEST_JUMP * depth.astype(np.float64)
         first = 0
         for mesh in self._meshes:
-            seen = there & (triangle >= first) & (triangle < first + len(mesh.triangles))
+            seen = there & (triangle >= first) & (triangle < first + mesh.triangle_count)
             found = triangle_normals(mesh, triangle[seen] - first)
             way = self.positions[seen] - self._camera.camera_to_world[:3, 3]
             found *= np.where((found * way).sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
@@ -101,7 +97,7 @@ class FrameSurface:
             seen[seen] = known
             normals[seen] = found[known]
             source[seen] = NormalSource.MESH
-            first += len(mesh.triangles)
+            first += mesh.triangle_count
         other = (source == NormalSource.NONE) & np.isfinite(self.metres) & (self.metres > 0.0)
         if other.any():
             normals[other] = self.fitted[other]
@@ -116,7 +112,7 @@ class FrameSurface:
         return render_depth(scene, self._camera, self._device)
 
     def _as_it_was(self) -> Scene:
-        count = sum(max(len(mesh.triangles), len(mesh.vertices)) for mesh in self._meshes)
+        count = sum(max(mesh.triangle_count, mesh.vertex_count) for mesh in self._meshes)
         scene = Scene(Bounds(max_triangles=max(1, count)))
         for mesh in self._meshes:
             scene.put(mesh.name, mesh.vertices, mesh.triangles, mesh.pose, nonfinite="skip")
