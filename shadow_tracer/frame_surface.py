@@ -62,12 +62,8 @@ class FrameSurface:
         self._camera = camera
         self._scene = scene
         self._revision = scene.revision
-        self._parts = [(mesh.name, mesh.vertices, mesh.triangles, mesh.pose) for mesh in scene]  # never changed
+        self._meshes = [mesh.snapshot() for mesh in scene]
         self.device = device
-
-    @cached_property
-    def _meshes(self) -> list[Mesh]:
-        return [Mesh(*part) for part in self._parts]
 
     @cached_property
     def metres(self) -> FloatArray:
@@ -108,7 +104,7 @@ class FrameSurface:
 
     def _of_triangles(self, numbers: npt.NDArray[np.integer[Any]]) -> FloatArray:
         """(..., 3) normals of triangles of these numbers, NaN for -1. Each triangle's is computed once."""
-        counts = [len(mesh.triangles) for mesh in self._meshes]
+        counts = [mesh.triangle_count for mesh in self._meshes]
         seen = np.zeros(sum(counts) + 1, np.bool_)
         seen[numbers] = True  # -1 is the last
         seen[-1] = False
@@ -131,7 +127,7 @@ class FrameSurface:
         return render_depth(scene, self._camera, self.device)
 
     def _as_it_was(self) -> Scene:
-        count = sum(max(len(mesh.triangles), len(mesh.vertices)) for mesh in self._meshes)
+        count = sum(max(mesh.triangle_count, mesh.vertex_count) for mesh in self._meshes)
         scene = Scene(Bounds(max_triangles=max(1, count)))
         for mesh in self._meshes:
             scene.put(mesh.name, mesh.vertices, mesh.triangles, mesh.pose, nonfinite="skip")
