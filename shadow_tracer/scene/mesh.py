@@ -20,7 +20,7 @@ from shadow_tracer.scene.mesh_checks import IntArray, equal, triangles_of, usabl
 from shadow_tracer.scene.parts import DepthSurface, Positions, serial
 from shadow_tracer.scene.parts import Mesh as Mesh  # for those who import it from here
 from shadow_tracer.scene.some import Some
-from shadow_tracer.scene.surface import organised
+from shadow_tracer.scene.surface import Sampling, organised
 
 
 class Scene:
@@ -112,7 +112,13 @@ class Scene:
         return self._put(name, new_vertices, new_triangles, pose, None, cast_shadows)
 
     def put_surface(
-        self, name: str, positions: Any, valid: Any = None, pose: Any = None, cast_shadows: bool = True
+        self,
+        name: str,
+        positions: Any,
+        valid: Any = None,
+        pose: Any = None,
+        cast_shadows: bool = True,
+        level: int = 0,
     ) -> Mesh:
         """Add an organised surface or replace what has that name: the two triangles of each quad between neighbouring
         rows and columns; ``scene/surface.py`` says along which diagonal quads are cut.
@@ -126,40 +132,45 @@ class Scene:
             valid: (R, C) truth values: which positions count; None is all, of a height field all that have a height.
             pose: (4, 4) rigid transform to the world; identity if None.
             cast_shadows: whether it is an occluder; see :meth:`cast_shadows`.
+            level: of detail: the surface has every 2**level-th row and column, and the last ones. That is another
+                surface, which all pipelines agree about: where it lies below the finer one it casts less, where above
+                more. Positions in between are not looked at.
 
         Raises:
             ValueError: an argument is malformed; the message names it and the first fault's position.
             BoundsError: the scene would exceed ``bounds.max_triangles``.
         """
         name_of(name, "name")
-        surface = organised(positions, valid)
+        surface = organised(positions, valid, level=level)
         self._check_capacity(name, len(surface.vertices), surface.triangle_count)
-        return self._put(name, surface.vertices, surface.triangles(), pose, surface.grid, cast_shadows)
+        return self._put(name, surface.vertices, surface.triangles(), pose, surface.sampling, cast_shadows)
 
     def deform_surface(self, name: str, positions: Any, valid: Any = None) -> None:
         """Give a surface new positions, and a new mask.
 
         Args:
-            positions: (R, C, 3) real numbers [m], or a :class:`HeightField`, of the shape that the surface has.
+            positions: (R, C, 3) real numbers [m], or a :class:`HeightField`, of the shape that it was put with; its
+                level of detail stays.
             valid: (R, C) truth values; None: the mask stays, that of a height field comes with it.
 
         Raises:
             ValueError: no surface of that name, another shape, or a valid position that is not finite.
         """
         mesh = self[name]
-        if mesh.grid is None:
+        if mesh.sampling is None:
             raise ValueError(f"name: {name!r} is no surface; use deform()")
-        known = mesh.valid
-        surface = organised(positions, valid, known)
-        if surface.grid != mesh.grid:
+        known, had = mesh.valid, mesh.sampling
+        surface = organised(positions, valid, known, had.level)
+        if surface.sampling != had:
+            got = surface.sampling.rows, surface.sampling.columns, 3
             raise ValueError(
-                f"positions: expected shape {(*mesh.grid, 3)} as surface {name!r} has, got {(*surface.grid, 3)}; "
+                f"positions: expected shape {(had.rows, had.columns, 3)} as surface {name!r} has, got {got}; "
                 "use put_surface() to replace it"
             )
         if np.array_equal(surface.valid, known):
             self._position(mesh, vertices=surface.vertices, vertices_revision=next(serial))
         else:
-            self._put(name, surface.vertices, surface.triangles(), mesh.pose, mesh.grid, mesh.cast_shadows)
+            self._put(name, surface.vertices, surface.triangles(), mesh.pose, had, mesh.cast_shadows)
 
     def put_depth(
         self, name: str, depth: Any, camera: Camera, step: int = 1, max_jump: float = 0.05, cast_shadows: bool = True
@@ -199,7 +210,7 @@ class Scene:
         vertices: FloatArray,
         triangles: IntArray,
         pose: Any,
-        grid: tuple[int, int] | None,
+        sampling: Sampling | None,
         cast_shadows: bool,
     ) -> Mesh:
         """Store what has been checked; pose, flag and capacity are checked here."""
@@ -209,13 +220,13 @@ class Scene:
         totals = self._check_capacity(name, len(vertices), len(triangles))
         old = self._meshes.get(name)
         revision = self._revision = next(serial)
-        same = type(old) is Mesh and old.grid == grid and old.vertex_count == len(vertices)
+        same = type(old) is Mesh and old.sampling == sampling and old.vertex_count == len(vertices)
         if old is not None and same and equal(old.triangles, triangles):
             moved = not np.array_equal(old.pose, new_pose)
             pose, pose_revision = (new_pose, revision) if moved else (old.pose, old.pose_revision)
             old._positions = Positions(vertices, pose, revision, pose_revision, casts)
         else:
-            self._meshes[name] = Mesh(name, vertices, triangles, new_pose, grid, casts)
+            self._meshes[name] = Mesh(name, vertices, triangles, new_pose, sampling, casts)
         self._counts = (revision, *totals)
         return self._meshes[name]
 

@@ -19,7 +19,7 @@ from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import FloatArray, rigid_pose
 from shadow_tracer.scene.depth_mesh import depth_box, depth_cells
 from shadow_tracer.scene.mesh_checks import IntArray, own
-from shadow_tracer.scene.surface import BoolArray
+from shadow_tracer.scene.surface import BoolArray, Sampling
 
 serial = itertools.count(1)
 """Numbers of revisions: each is given once."""
@@ -47,12 +47,14 @@ class Mesh:
         vertices: FloatArray,
         triangles: IntArray,
         pose: FloatArray,
-        grid: tuple[int, int] | None = None,
+        sampling: Sampling | None = None,
         cast_shadows: bool = True,
     ) -> None:
         self.name = name
         """Name within its scene."""
-        self.grid = grid
+        self.sampling = sampling
+        """What a surface was given, and the level of detail that it has of that; None for any other mesh."""
+        self.grid = None if sampling is None else sampling.grid
         """Rows and columns of a surface, whose vertices lie row by row and whose triangles are two to a quad
         (``surface.py``); None for any other mesh."""
         self._triangles = triangles
