@@ -1,4 +1,4 @@
-// needs: query accelerators/mailboxes.h accelerators/tree_node.h
+// needs: query accelerators/mailboxes.h
 // Shows a ray the triangles of a cell or leaf.
 struct Members {
     // Those from `first` to before `last` that it was not shown just before; true if that was enough.

@@ -1,4 +1,4 @@
-// needs: query accelerators/members.h
+// needs: query accelerators/members.h accelerators/tree_node.h
 // arguments: Structure structure
 // constants: BSP_LEVELS BSP_TRIANGLE BSP_PAD
 // Through the halves of space that hold something of the ray, that of the sample first; see bsp.py.

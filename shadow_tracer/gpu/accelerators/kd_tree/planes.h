@@ -1,4 +1,4 @@
-// needs: query accelerators/segment.h accelerators/members.h
+// needs: query accelerators/segment.h accelerators/members.h accelerators/tree_node.h
 // arguments: Structure structure
 // constants: KD_LEVELS
 // Nearer child first, the other one waits on a stack; see kd_tree.py.

@@ -1,4 +1,4 @@
-// needs: query accelerators/segment.h accelerators/members.h
+// needs: query accelerators/segment.h accelerators/members.h accelerators/tree_node.h
 // arguments: Structure structure
 // constants: OCTREE_LEVELS OCTREE_HALF
 // From child to child of the cells that hold each other (Revelles, Urena, Lastra 2000); see octree.py.
