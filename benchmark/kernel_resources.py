@@ -70,8 +70,9 @@ def modules() -> list[str]:
         if re.search(r"^@wp\.kernel", text, re.M):
             found.append(name)
         if re.search(r" = Walk\(", text):
-            values = vars(import_module(f"shadow_tracer.gpu.{name}")).values()
-            walks = {id(walk): walk for value in values for walk in (value, getattr(value, "walk", None))}
+            values = list(vars(import_module(f"shadow_tracer.gpu.{name}")).values())
+            held = [getattr(value, ways, None) for value in values for ways in ("walk", "cones")]
+            walks = {id(walk): walk for walk in [*values, *held]}
             names = [module for walk in walks.values() for module in getattr(walk, "modules", [])]
             found += dict.fromkeys(module.removeprefix("shadow_tracer.gpu.") for module in names)
     return found

@@ -37,9 +37,10 @@ class ConeAnswers:
 
     A cone has an apex and an axis; one with an end is cut off across the axis there. All triangles count of the meshes
     that cast shadows, from both sides, whatever ``front_face_culling`` is, but for those of meshes that the light
-    ignores of cones to one. Those without area, or with a corner that is not finite, do not. Answers come from the tree
-    of pipeline ``bvh/sah``, whatever pipeline traces; it and the buffers are made when a cone is first asked about, and
-    count in ``device_bytes``.
+    ignores of cones to one. Those without area, or with a corner that is not finite, do not. Cones go through the
+    structure of the pipeline if that is ``bvh/sah``, ``kd_tree`` or ``brute_force``, otherwise through that of
+    ``bvh/sah``, with the same answers; what is not there for frames, and the buffers, are made when a cone is first
+    asked about, and count in ``device_bytes``.
     """
 
     scene: Scene

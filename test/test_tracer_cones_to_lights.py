@@ -15,6 +15,8 @@ import warp as wp
 
 from shadow_tracer import Bounds, DirectionalLight, Outcome, PointLight, ShadowTracer, SphereLight, SunDisc
 from shadow_tracer.gpu.accelerators.bvh import cones as device_cones
+from shadow_tracer.gpu.accelerators.bvh.bvh import Bvh
+from shadow_tracer.gpu.accelerators.kd_tree.kd_tree import KdTree
 
 _FREE, _PARTLY, _BLOCKED = Outcome.FREE, Outcome.PARTLY, Outcome.BLOCKED
 _BOUNDS = {"max_triangles": 2000, "max_rays": 1 << 14, "max_lights": 2, "queue_capacity": 2000, "grid_entries": 10_000}
@@ -59,7 +61,7 @@ def test_threads_really_work_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     meeting, launch, names = threading.Barrier(2, timeout=20.0), wp.launch, set()
 
     def met(kernel: Any, *arguments: Any, **named: Any) -> Any:
-        if kernel is device_cones.find_outcomes:
+        if kernel is Bvh.cones.find_outcomes:
             names.add(threading.current_thread().name)
             meeting.wait()
         return launch(kernel, *arguments, **named)
@@ -93,21 +95,23 @@ def test_a_thread_that_fails_leaves_nothing_behind(monkeypatch: pytest.MonkeyPat
     np.testing.assert_array_equal(tracer.cones(apices, lamp, 0.2), true[0])
 
 
-@pytest.mark.parametrize("pipeline", ["light_grid", "bvh"])
+@pytest.mark.parametrize("pipeline", ["light_grid", "bvh", "kd_tree"])
 def test_a_warm_up_launches_what_cones_need(any_device: str, pipeline: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """If asked to, and only then. Scenes that are new, move and change need no other kernel."""
     tracer, launch, launched = _tracer(any_device, 2, pipeline), wp.launch, set()
+    kernels = KdTree.cones if pipeline == "kd_tree" else Bvh.cones
+    needs = ("cones", ("kd_tree" if pipeline == "kd_tree" else "bvh", "sah"))
 
     def noted(kernel: Any, *arguments: Any, **named: Any) -> Any:
         launched.add(kernel)
         return launch(kernel, *arguments, **named)
 
     monkeypatch.setattr(wp, "launch", noted)
-    probe.loaded(tracer).discard("cones")
+    probe.loaded(tracer).discard(needs)
     tracer.warm_up()
-    assert device_cones.find_outcomes not in launched and "cones" not in probe.loaded(tracer)
+    assert kernels.find_outcomes not in launched and needs not in probe.loaded(tracer)
     tracer.warm_up(cones=True)
-    assert {device_cones.find_outcomes, device_cones.find_hits} <= launched and "cones" in probe.loaded(tracer)
+    assert {kernels.find_outcomes, kernels.find_hits} <= launched and needs in probe.loaded(tracer)
     before = set(launched)
     for step in range(3):
         tracer.cones(np.zeros((20, 3)), (3.0, 3.0, 3.0), 0.2, first=True)

@@ -25,11 +25,13 @@ class PipelineEntry:
             an accelerator, made with the variant and a ``Context``, or the build of a walker. None where the engine
             chooses among the other pipelines.
         side_by_side: variants of which several may work at once, each on separate rays.
+        cones: variants through whose structure cones can go.
     """
 
     summary: str
     classes: Mapping[str, str | None]
     side_by_side: tuple[str, ...] = ()
+    cones: tuple[str, ...] = ()
 
     @property
     def variants(self) -> tuple[str, ...]:
@@ -75,6 +77,7 @@ REGISTRY: dict[str, PipelineEntry] = {
         "a tree over blocks of 16 triangles, rays in packets of 16; built for each topology, refitted as things move",
         dict.fromkeys(_BVH_VARIANTS, "bvh.bvh:Bvh"),
         _BVH_VARIANTS,
+        ("sah",),
     ),
     "uniform_grid": PipelineEntry(
         "a grid of equal cells over the triangles, rays step from cell to cell",
@@ -94,6 +97,7 @@ REGISTRY: dict[str, PipelineEntry] = {
     "kd_tree": PipelineEntry(
         "a tree of planes along the axes, where they make rays cheapest; rays walk from cell to cell",
         {"sah": "kd_tree.kd_tree:KdTree"},
+        ("sah",),
         ("sah",),
     ),
     "octree": PipelineEntry(
@@ -117,6 +121,7 @@ REGISTRY: dict[str, PipelineEntry] = {
     "brute_force": PipelineEntry(
         "every sample against every triangle: the oracle the others are compared with",
         dict.fromkeys(("filtered", "float64"), _BRUTE_FORCE),
+        ("filtered", "float64"),
         ("filtered", "float64"),
     ),
     AUTO: PipelineEntry(
@@ -146,9 +151,25 @@ def resolve(pipeline: str, variant: str | None) -> tuple[str, str]:
     return pipeline, variant
 
 
-def cones(scene: SceneBuffers, threads: int) -> Cones:
-    """What answers questions about cones over a scene, by so many threads, whatever pipeline traces its frames."""
-    found: Cones = import_module("shadow_tracer.gpu.accelerators.bvh.cones").Cones(scene, threads)
+def _class(name: str, variant: str) -> Any:
+    """What the class of a variant is; imports Warp."""
+    where = REGISTRY[name].classes[variant]
+    assert where is not None, f"{name} is no separate pipeline"
+    module, _, kind = where.partition(":")
+    return getattr(import_module(f"shadow_tracer.gpu.accelerators.{module}"), kind)
+
+
+def for_cones(pipeline: str, variant: str) -> tuple[str, str]:
+    """The pipeline and variant through whose structure cones go where another one traces: itself, if they can."""
+    return (pipeline, variant) if variant in REGISTRY[pipeline].cones else ("bvh", "sah")
+
+
+def cones(scene: SceneBuffers, names: tuple[str, str], threads: int) -> Cones:
+    """What answers questions about cones over a scene, through the structure of a pipeline and variant, by so
+    many threads."""
+    kind, variant = _class(*names), names[1]
+    build = scene.made.take((kind, variant), lambda: kind(variant, scene))
+    found: Cones = import_module("shadow_tracer.gpu.accelerators.bvh.cones").Cones(scene, build, threads)
     return found
 
 
@@ -159,11 +180,8 @@ def side_by_side(pipeline: str, variant: str) -> bool:
 
 def make_pipeline(name: str, variant: str, context: Context) -> Accelerator:
     """Make the pipeline ``name`` over the given context. Imports Warp, and of the pipelines only that one."""
-    where = REGISTRY[name].classes[variant]
-    assert where is not None, f"{name} is no separate pipeline"
-    module, _, kind = where.partition(":")
+    made = _class(name, variant)
     walkers: Any = import_module("shadow_tracer.gpu.accelerators.walker")
-    made: Any = getattr(import_module(f"shadow_tracer.gpu.accelerators.{module}"), kind)
     walks = isinstance(made, type) and issubclass(made, walkers.Build)
     pipeline: Accelerator = walkers.walker(made, variant, context) if walks else made(variant, context)
     return pipeline

@@ -14,6 +14,7 @@ from typing import Any
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.cone_kernels import ConeKernels
 from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays, Traits
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.stages import Stages
@@ -109,11 +110,13 @@ class Build:
     Attributes:
         walk: how rays go through the structure.
         queries: what the pipeline is asked; a walk may be able to answer more.
+        cones: how cones go through the structure, None if they cannot.
         structure: what they walk through, None if there is nothing; made by ``build``.
     """
 
     walk: Walk
     queries: tuple[Query, ...] = (ANY_HIT,)
+    cones: ConeKernels | None = None
     structure: Any = None
 
     def __init__(self, variant: str, scene: SceneBuffers) -> None:
@@ -137,6 +140,14 @@ class Build:
     def forget(self) -> None:
         """Whatever is there is to be made again."""
         self._made_for = None
+
+    def for_cones(self, stages: Stages) -> Any:
+        """What cones go through, of the scene as it is, which has triangles."""
+        self.follow(stages)
+        return self.structure
+
+    def cones_asked(self) -> None:
+        """Questions about cones have been answered."""
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -37,9 +37,13 @@ ROOT = Path(__file__).resolve().parents[1]  # gpu/
 _SHOWN = "shadow_tracer/gpu"  # as compilers name it
 
 # What stands for a header in ``needs``, and the header that plays it unless a snippet names another: what is asked
-# about rays (a struct ``Query``), and how they go through a structure (a struct ``Walk``). Both names end with
-# the number of lanes.
-ROLES = {"query": "visibility/any_hit.h", "walk": "accelerators/brute_force/every_triangle.h"}
+# about rays (a struct ``Query``), how they go through a structure (a struct ``Walk``; both names end with the number of
+# lanes), and how cones do (a struct ``ConeWalk``).
+ROLES = {
+    "query": "visibility/any_hit.h",
+    "walk": "accelerators/brute_force/every_triangle.h",
+    "cone_walk": "accelerators/bvh/cone_walk.h",
+}
 
 _constants: dict[str, int | float] = {}
 

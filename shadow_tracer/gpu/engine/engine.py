@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.registry import AUTO, cones
+from shadow_tracer.gpu.accelerators.registry import AUTO, cones, for_cones
 from shadow_tracer.gpu.device.graphs import can_record, end_recording
 from shadow_tracer.gpu.device.seats import Seat
 from shadow_tracer.gpu.device.workers import Workers
@@ -274,19 +274,22 @@ class Engine:
         """What ``question`` finds out of what answers questions about cones, over the scene as it is, in which meshes
         of the names ``ignored`` cast nothing."""
 
+        names = for_cones(*self._names)
+        kernels = ("cones", names)
+
         def ask(inside: _Inside) -> _Result:
             inside.scene.sync(scene)
             if inside.cones is None:
-                inside.cones = inside.scene.made.take("cones", lambda: cones(inside.scene, self._cores))
+                inside.cones = inside.scene.made.take("cones", lambda: cones(inside.scene, names, self._cores))
             if inside.scene.triangle_count:
                 inside.cones.follow()  # what is made of the scene is made of all of it
-                self._seat.loaded.add("cones")
+                self._seat.loaded.add(kernels)
             inside.scene.leave_out(ignored)
             found = question(inside.cones)
             inside.scene.leave_out(())
             return found
 
-        return self._whole(ask, ["cones"])
+        return self._whole(ask, [kernels])
 
     def warm_up_cones(self, scene: Scene) -> None:
         """Compile or load the kernels for cones, those that build and refit the tree among them."""

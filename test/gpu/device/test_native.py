@@ -16,6 +16,7 @@ import pytest
 
 wp = pytest.importorskip("warp")
 
+from shadow_tracer.gpu.accelerators.cone_kernels import ConeKernels  # noqa: E402
 from shadow_tracer.gpu.accelerators.walker import Walk  # noqa: E402
 from shadow_tracer.gpu.device import native  # noqa: E402
 
@@ -87,7 +88,7 @@ def _snippets() -> list[str]:
     ]
     values = [value for module in modules for value in vars(module).values()]
     classes = [value for value in values if isinstance(value, type)]
-    walks = [value for each in classes for value in vars(each).values() if isinstance(value, Walk)]
+    walks = [value for each in classes for value in vars(each).values() if isinstance(value, (Walk, ConeKernels))]
     walks += [value for value in values if isinstance(value, Walk)]
     functions = [value for value in values if isinstance(value, wp.Function)]
     functions += [function for walk in walks for function in walk.functions]

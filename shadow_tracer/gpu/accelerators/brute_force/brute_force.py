@@ -5,14 +5,16 @@ Variant ``filtered`` uses the float32 filter as every pipeline does; ``float64``
 single pair. Both must give the same bits, which tests the filter's bound on any scene at hand.
 
 Cost: samples x triangles pairs, 12 multiply-adds each, 64 bytes of record per triangle. On the CPU sixteen rays stay in
-vector registers while all triangles pass by; on CUDA a thread takes one.
+vector registers while all triangles pass by; on CUDA a thread takes one. Every triangle is looked at for cones, too.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.cone_kernels import ConeKernels, cone_scene
 from shadow_tracer.gpu.accelerators.interface import Context, Rays
+from shadow_tracer.gpu.accelerators.segment import SceneBox, scene_box
 from shadow_tracer.gpu.accelerators.walker import Build, Walk, Walker
 from shadow_tracer.gpu.device.counters import EXACT, RETESTED
 from shadow_tracer.gpu.device.stages import Stages
@@ -28,6 +30,16 @@ class Structure:
     """None."""
 
     unused: int
+
+
+@wp.struct
+class Every:
+    """What cones go through: the box of the scene, in units of which they and triangles are compared."""
+
+    box: SceneBox
+
+
+ConeScene = cone_scene(Every)
 
 
 @wp.kernel(enable_backward=False)
@@ -70,6 +82,7 @@ class BruteForce(Build):
     """The ``brute_force`` pipeline."""
 
     walk = Walk("accelerators/brute_force/every_triangle.h", Structure, lanes=16, queries=(ANY_HIT, CLOSEST))
+    cones = ConeKernels("accelerators/brute_force/cone_walk.h", ConeScene)
 
     def __init__(self, variant: str, scene: SceneBuffers) -> None:
         super().__init__(variant, scene)
@@ -78,6 +91,12 @@ class BruteForce(Build):
 
     def follow(self, stages: Stages) -> None:
         """Nothing is made of the scene."""
+
+    def for_cones(self, stages: Stages) -> Every:
+        """The box of the scene."""
+        every = Every()
+        every.box = scene_box(*self._scene.box())
+        return every
 
     def walker(self, context: Context) -> Walker:
         """Variant ``float64`` has no filter."""

@@ -1,4 +1,4 @@
-// needs: query accelerators/leaf_list.h
+// needs: query accelerators/members.h
 // arguments: Structure structure
 // constants: BSP_LEVELS BSP_TRIANGLE BSP_PAD
 // Through the halves of space that hold something of the ray, that of the sample first; see bsp.py.
@@ -15,7 +15,7 @@ struct Walk1 {
     static inline double sum(double x, double y, double z) { return fabs(x) + fabs(y) + fabs(z); }
     static inline Values values(const Structure& structure, int number, const wp::vec2i& node, const wp::vec4d& p,
                                 const wp::vec4d& l) {
-        if (LeafList::kind(node) != BSP_TRIANGLE) {
+        if (TreeNode::kind(node) != BSP_TRIANGLE) {
             const double c = structure.offsets.data[number];
             const int k = node[0];
             const double x = k == 0 ? p[0] : k == 1 ? p[1] : p[2], y = k == 0 ? l[0] : k == 1 ? l[1] : l[2];
@@ -59,8 +59,8 @@ struct Walk1 {
         for (;;) {
             ++query.nodes;
             const wp::vec2i node = structure.nodes.data[number];
-            if (LeafList::is(node)) {
-                if (LeafList::show(structure.members, node, mailboxes, query) || top == 0)
+            if (TreeNode::is_leaf(node)) {
+                if (Members::show(structure.members, node, mailboxes, query) || top == 0)
                     return;
                 number = waiting[--top];
                 part = parts[top];

@@ -48,6 +48,7 @@ from __future__ import annotations
 
 from shadow_tracer.gpu.accelerators.bvh.scene_tree import KINDS
 from shadow_tracer.gpu.accelerators.bvh.tree import Tree
+from shadow_tracer.gpu.accelerators.cone_kernels import ConeKernels, cone_scene
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.walker import Build, Walk, Walker
 from shadow_tracer.gpu.device import forms, native
@@ -66,6 +67,7 @@ SINGLE = Walk("accelerators/bvh/sixteen.h", Tree, queries=_QUERIES)
 PACKETS = SINGLE | Walk("accelerators/bvh/packets.h", Tree, lanes=16)
 _PAIRS = Walk("accelerators/bvh/pairs.h", Tree, queries=_QUERIES)
 _THREADED = Walk("accelerators/bvh/threaded.h", Tree, queries=_QUERIES)
+ConeScene = cone_scene(Tree)
 
 
 class Bvh(Build):
@@ -76,6 +78,7 @@ class Bvh(Build):
     """
 
     queries = (ANY_HIT, MASK)
+    cones = ConeKernels("accelerators/bvh/cone_walk.h", ConeScene)
 
     def __init__(self, variant: str, scene: SceneBuffers) -> None:
         super().__init__(variant, scene)
@@ -94,6 +97,10 @@ class Bvh(Build):
     def walker(self, context: Context) -> Walker:
         """One that says how bad the tree is."""
         return Judge(self, context)
+
+    def cones_asked(self) -> None:
+        """Let the tree know how bad it is, as frames do: it may only ever be asked about cones."""
+        self.tree.judge(self.tree.areas.numpy())
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -1,5 +1,5 @@
-// needs: exact/cone_entry.h exact/decision.h accelerators/bvh/cone_walk.h
-// constants: CONE_ADDED CORNERS BOX_PADDING
+// needs: exact/cone_entry.h exact/decision.h cone_walk
+// constants: CONE_ADDED BOX_PADDING
 // arguments: ConeScene scene, ConesAsked asked
 // The nearest triangles of a cone, by distance and number: cones.py says why none is missed.
 struct ConeHits {
@@ -29,7 +29,11 @@ struct ConeHits {
             box[4 + k] = (float)((high > z ? high : z) + 0.5 * BOX_PADDING);
         }
     }
+    // Once, however often it is shown.
     inline void keep(double t, int number) {
+        for (int k = found; k > 0 && !before(distances[k - 1], numbers[k - 1], t, number); --k)
+            if (numbers[k - 1] == number)
+                return;
         int at = found < asked.most ? found : found - 1;
         for (; at > 0 && before(t, number, distances[at - 1], numbers[at - 1]); --at) {
             distances[at] = distances[at - 1];
@@ -47,7 +51,7 @@ struct ConeHits {
             return;
         double in = 0.0, out = cone.length.number;
         if (!walk.everything) {
-            float around[CORNERS];
+            float around[8];
             box(p, q, r, around);
             if (!walk.meets(around, in, out))
                 return;

@@ -1,4 +1,4 @@
-// needs: exact/decision.h accelerators/bvh/cone_walk.h
+// needs: exact/decision.h cone_walk
 // constants: CONE_FREE CONE_PARTLY CONE_BLOCKED CONE_ADDED CONES_OF_A_HINT LARGEST_SHEET NO_BUDGET
 // arguments: ConeScene scene, ConesAsked asked
 // What is certain of a cone: docs/exactness.md says why.

@@ -57,9 +57,10 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.bvh.bvh import Bvh
-from shadow_tracer.gpu.accelerators.bvh.tree import Tree
-from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.accelerators.bvh.bvh import ConeScene as ConeScene
+from shadow_tracer.gpu.accelerators.cone_kernels import FREE, NO_BUDGET, OF_A_HINT, ConesAsked
+from shadow_tracer.gpu.accelerators.walker import Build
+from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.device.transfers import Uploads
 from shadow_tracer.gpu.device.workers import Workers
@@ -67,64 +68,10 @@ from shadow_tracer.gpu.occluders.neighbours import Neighbours
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.scene.checks import FloatArray
 
-FREE, PARTLY, BLOCKED = 0, 1, 2
 # Cones asked about at once, and places of their lists.
 PIECE, PLACES = 1 << 16, 1 << 19
-# Cones that a thread takes at a time, and of these how many have a hint together: threads have none in common.
-SOME, OF_A_HINT = 512, 64
-NO_BUDGET = 2**31 - 1
-native.constants(CONES_OF_A_HINT=OF_A_HINT, LARGEST_SHEET=128, NO_BUDGET=NO_BUDGET)
-native.constants(CONE_FREE=FREE, CONE_PARTLY=PARTLY, CONE_BLOCKED=BLOCKED)
-native.constants(CONE_FAR_AWAY=2.0**20, CONE_ADDED=1e-6, CONE_BAND=1e-13, CONE_ROUGH=2.0**-17)
-
-
-@wp.struct
-class ConeScene:
-    """What cones go through."""
-
-    tree: Tree
-    count: int  # triangles
-    vertices: wp.array(dtype=wp.vec3d)
-    triangles: wp.array(dtype=wp.vec3i)
-    neighbours: wp.array(dtype=wp.vec3i)  # of each edge 3 * triangle + edge of the one beside, or -1
-    numbers: wp.array(dtype=int)  # of triangles, as the scene counts them
-
-
-@wp.struct
-class ConesAsked:
-    """Cones, and what is found."""
-
-    apices: wp.array(dtype=wp.vec3d)
-    ends: wp.array(dtype=wp.vec4d)  # 1 after the end, or 0 after a direction of cones without one
-    slopes: wp.array(dtype=wp.float64)
-    budget: int  # nodes and triangles of each
-    outcomes: wp.array(dtype=wp.uint8)
-    hints: wp.array(dtype=int)  # of cones one after the other the triangle that has hidden one of them, or -1
-    most: int  # triangles of a list
-    after: wp.array(dtype=wp.float64)  # the distance and number of the last that is not asked for
-    after_numbers: wp.array(dtype=int)
-    distances: wp.array(dtype=wp.float64)
-    numbers: wp.array(dtype=int)
-
-
-@native.func_native("accelerators/bvh/cone_outcome.h", calls="ConeOutcome::of")
-def outcome_of(number: int, scene: ConeScene, asked: ConesAsked): ...
-
-
-@native.func_native("accelerators/bvh/cone_hits.h", calls="ConeHits::of")
-def hits_of(number: int, scene: ConeScene, asked: ConesAsked): ...
-
-
-@wp.kernel(enable_backward=False)
-def find_outcomes(first: int, scene: ConeScene, asked: ConesAsked):
-    """A cone a thread."""
-    outcome_of(first + wp.tid(), scene, asked)
-
-
-@wp.kernel(enable_backward=False)
-def find_hits(first: int, scene: ConeScene, asked: ConesAsked):
-    """A cone a thread."""
-    hits_of(first + wp.tid(), scene, asked)
+# Cones that a thread takes at a time; hints are of fewer, so that threads have none in common.
+SOME = 8 * OF_A_HINT
 
 
 class Cones:
@@ -132,13 +79,15 @@ class Cones:
 
     Args:
         scene: the world, whose ``bounds`` say how much there may be.
+        build: what cones go through.
         threads: how many cores of the CPU they may keep busy.
     """
 
-    def __init__(self, scene: SceneBuffers, threads: int) -> None:
+    def __init__(self, scene: SceneBuffers, build: Build, threads: int) -> None:
+        assert build.cones is not None
         self._scene, device = scene, scene.device
         self._workers = Workers(threads if forms.wide(device) else 1)
-        self._build: Bvh = scene.made.take((Bvh, "sah"), lambda: Bvh("sah", scene))
+        self._build, self._kernels = build, build.cones
         self._neighbours = Neighbours(scene)
         self._stages, self._upload = Stages(device), Uploads(device)
         asked = self._asked = ConesAsked()
@@ -152,12 +101,11 @@ class Cones:
         asked.distances = wp.empty(PLACES, dtype=wp.float64, device=device)
         asked.numbers = wp.empty(PLACES, dtype=int, device=device)
 
-    def follow(self) -> ConeScene:
+    def follow(self) -> Any:
         """What cones go through, of the scene as it is, which has triangles."""
-        scene, made = self._scene, ConeScene()
-        self._build.follow(self._stages)
+        scene, made = self._scene, self._kernels.scene()
+        made.tree, made.count = self._build.for_cones(self._stages), scene.triangle_count
         self._neighbours.follow()
-        made.tree, made.count = self._build.structure, scene.triangle_count
         made.vertices, made.triangles = scene.vertices, scene.triangles
         made.neighbours, made.numbers = self._neighbours.across, self._neighbours.numbers
         return made
@@ -176,9 +124,9 @@ class Cones:
             piece = slice(first, min(first + PIECE, len(apices)))
             count = self._put(apices[piece], ends[piece], slopes[piece])
             asked.hints.fill_(-1)
-            self._send(find_outcomes, count, scene)
+            self._send(self._kernels.find_outcomes, count, scene)
             found[piece] = asked.outcomes[:count].numpy()
-        self._judge()
+        self._build.cones_asked()
         return found
 
     def hits(
@@ -206,10 +154,10 @@ class Cones:
             last = (np.full(count, -1.0), np.full(count, -1)) if after is None else (after[0][piece], after[1][piece])
             self._upload(asked.after, np.ascontiguousarray(last[0], np.float64))
             self._upload(asked.after_numbers, np.ascontiguousarray(last[1], np.int32))
-            self._send(find_hits, count, scene)
+            self._send(self._kernels.find_hits, count, scene)
             numbers[piece] = asked.numbers[: count * most].numpy().reshape(count, most)
             distances[piece] = asked.distances[: count * most].numpy().reshape(count, most)
-        self._judge()
+        self._build.cones_asked()
         return numbers, distances
 
     def _put(self, apices: FloatArray, ends: FloatArray, slopes: FloatArray) -> int:
@@ -218,7 +166,7 @@ class Cones:
         self._upload(self._asked.slopes, np.ascontiguousarray(slopes))
         return len(apices)
 
-    def _send(self, kernel: Any, count: int, scene: ConeScene) -> None:
+    def _send(self, kernel: Any, count: int, scene: Any) -> None:
         """``count`` cones through the scene, some at a time: whoever is done takes the next."""
         device, asked = self._scene.device, self._asked
         threads = min(self._workers.count, -(-count // SOME))
@@ -237,10 +185,6 @@ class Cones:
                 wp.launch(kernel, dim=min(SOME, count - first), inputs=[first, scene, asked], device=device)
 
         self._workers.run([job] * threads)
-
-    def _judge(self) -> None:
-        """Let the tree know how bad it is, as frames do: it may only ever be asked about cones."""
-        self._build.tree.judge(self._build.tree.areas.numpy())
 
     def nbytes(self) -> int:
         """Bytes on the device beside the tree."""

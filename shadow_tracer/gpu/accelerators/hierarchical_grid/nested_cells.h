@@ -1,4 +1,4 @@
-// needs: query accelerators/segment.h accelerators/mailboxes.h
+// needs: query accelerators/segment.h accelerators/members.h
 // arguments: Structure structure
 // constants: GRID_DEPTHS
 // From cell to cell of grids within cells; see hierarchical_grid.py.
@@ -63,7 +63,7 @@ struct Walk1 {
                 continue;
             }
             const int* start = structure.start.data + number;
-            if (mailboxes.show(structure.members, start[0], start[1], query))
+            if (Members::show(structure.members, start[0], start[1], mailboxes, query))
                 return;
             while (!(at.next[axis] <= at.until)) {
                 if (!depth)

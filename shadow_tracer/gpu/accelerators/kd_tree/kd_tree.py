@@ -28,6 +28,24 @@ component: a difference, a reciprocal and a product, of 3.01 u relative together
 within 5 u of the stored one: 11.1 u. If that ray meets a triangle at the point, the box reaches 32 u to either side of
 it, and so beyond the plane: the triangle is a member of that child. This is so at each node that the walk passes for
 the point, each for itself: nothing adds up with depth.
+
+*Cones* (Wiche and Kuri 2020: "Performance Evaluation of Acceleration Structures for Cone-Tracing Traversal") go through
+by the distances of planes, nearer child first (``cone_walk.h``). Of the part of a cone that is in a node, from one
+distance along the axis to another, the lower child gets where t (v - w) <= d and the upper one where t (v + w) >= d,
+with d from the apex to the plane and w >= 0 as in ``bvh/cones.py``: half-lines of t, whichever way the mantle leans, so
+that cones around an axis are no case for themselves. Triangles in several leaves are shown again where mailboxes have
+forgotten them; lists keep them once. In float64, every difference, reciprocal and product is rounded by itself.
+
+What matters of a triangle is its own box, padded by half as much as the stored one (``bvh/cone_hits.h``): there are 15
+u for roundings of its six half-lines, which are less than 1 u. Let t be any distance at which they hold, as computed.
+The whole scene's hold, too: it is a larger box, and all roundings are monotone. So do those of one child that has the
+triangle wherever the node's hold. If one child alone has it, the stored box ends at the plane or before it, so the
+plane's half-line holds where that of the box's side does. If both have it, suppose that neither holds. Where v - w and
+v + w are above 0, d / (v - w) < t < d / (v + w), as computed; but 1 / (v - w) is not the lesser one, so d is below 0,
+and t would be, too. Where both are below 0, it is the same with signs turned; and where v + w alone is above 0, t < d /
+(v - w) needs d below 0, and t < d / (v + w) needs it above. So some leaf has the triangle and t. Nothing is padded for
+that, and nothing adds up with depth. The distance in a list is such a t: what is left out behind the last one found,
+or before the one after which is asked, leaves it in. Outcomes and lists are those of every triangle.
 """
 
 from __future__ import annotations
@@ -36,6 +54,7 @@ import math
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators.cone_kernels import ConeKernels, cone_scene
 from shadow_tracer.gpu.accelerators.kd_tree import splitting
 from shadow_tracer.gpu.accelerators.kd_tree.splitting import LEVELS, MOST_BINS, Cell, Level, Structure
 from shadow_tracer.gpu.accelerators.references import SplitTree
@@ -44,6 +63,7 @@ from shadow_tracer.gpu.accelerators.walker import Walk
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST
 
+ConeScene = cone_scene(Structure)
 _BINS = 8  # of a cell, where a level has many
 
 
@@ -51,6 +71,7 @@ class KdTree(SplitTree):
     """The ``kd_tree`` pipeline."""
 
     walk = Walk("accelerators/kd_tree/planes.h", Structure, queries=(ANY_HIT, CLOSEST))
+    cones = ConeKernels("accelerators/kd_tree/cone_walk.h", ConeScene)
     kind = Structure
     most_levels = LEVELS
     nodes_per_triangle, triangles_per_cell = 3, 3

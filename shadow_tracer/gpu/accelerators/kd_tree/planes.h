@@ -1,4 +1,4 @@
-// needs: query accelerators/segment.h accelerators/leaf_list.h
+// needs: query accelerators/segment.h accelerators/members.h
 // arguments: Structure structure
 // constants: KD_LEVELS
 // Nearer child first, the other one waits on a stack; see kd_tree.py.
@@ -23,8 +23,8 @@ struct Walk1 {
         for (;;) {
             ++query.nodes;
             const wp::vec2i node = structure.nodes.data[number];
-            if (!LeafList::is(node)) {
-                const int axis = LeafList::kind(node);
+            if (!TreeNode::is_leaf(node)) {
+                const int axis = TreeNode::kind(node);
                 float plane;
                 memcpy(&plane, &node, sizeof plane);
                 const float at = (plane - along(segment.origin, axis)) * along(inverse, axis);
@@ -40,7 +40,7 @@ struct Walk1 {
                 }
                 continue;
             }
-            if (LeafList::show(structure.members, node, mailboxes, query))
+            if (Members::show(structure.members, node, mailboxes, query))
                 return;
             segment.shorten(query, structure.box);
             now = until;

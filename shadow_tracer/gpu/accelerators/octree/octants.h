@@ -1,4 +1,4 @@
-// needs: query accelerators/segment.h accelerators/leaf_list.h
+// needs: query accelerators/segment.h accelerators/members.h
 // arguments: Structure structure
 // constants: OCTREE_LEVELS OCTREE_HALF
 // From child to child of the cells that hold each other (Revelles, Urena, Lastra 2000); see octree.py.
@@ -56,7 +56,7 @@ struct Walk1 {
             ++query.nodes;
             const wp::vec2i node = structure.nodes.data[number];
             int crossed = 0;
-            if (!LeafList::is(node)) {
+            if (!TreeNode::is_leaf(node)) {
                 cell.meet(segment.origin, inverse);
                 for (int k = 0; k < 3; ++k)
                     crossed |= cell.at[k] < now ? 1 << k : 0;
@@ -64,7 +64,7 @@ struct Walk1 {
                 ends[level] = until;
                 cell.next(crossed, until);
             } else {
-                if (LeafList::show(structure.members, node, mailboxes, query))
+                if (Members::show(structure.members, node, mailboxes, query))
                     return;
                 segment.shorten(query, structure.box);
                 now = until;

@@ -1,4 +1,4 @@
-// needs: query accelerators/segment.h accelerators/mailboxes.h
+// needs: query accelerators/segment.h accelerators/members.h
 // arguments: Structure structure
 // From cell to cell (Amanatides and Woo 1987); see uniform_grid.py.
 struct Walk1 {
@@ -33,7 +33,7 @@ struct Walk1 {
             ++query.nodes;
             const int number = (cell[2] * shape.count[1] + cell[1]) * shape.count[0] + cell[0];
             const int* start = structure.start.data + number;
-            if (mailboxes.show(structure.members, start[0], start[1], query))
+            if (Members::show(structure.members, start[0], start[1], mailboxes, query))
                 return;
             segment.shorten(query, structure.box);
             const int axis = next[0] < next[1] ? (next[0] < next[2] ? 0 : 2) : (next[1] < next[2] ? 1 : 2);

@@ -47,11 +47,11 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
         "reaches_through",
         ("exact/cone.h", "return cut_by(p) && on_side", "return on_side"),
     ),
-    "bands that forgive": (_OUTCOMES, "rims", ("accelerators/bvh/cones.py", "CONE_BAND=1e-13", "CONE_BAND=-1e-13")),
+    "bands that forgive": (_OUTCOMES, "rims", ("accelerators/cone_kernels.py", "CONE_BAND=1e-13", "CONE_BAND=-1e-13")),
     "rough bands that forgive": (
         _OUTCOMES,
         "rims",
-        ("accelerators/bvh/cones.py", "CONE_ROUGH=2.0**-17", "CONE_ROUGH=-0.1"),
+        ("accelerators/cone_kernels.py", "CONE_ROUGH=2.0**-17", "CONE_ROUGH=-0.1"),
     ),
     "ties in any order": (
         _HITS,
@@ -66,7 +66,11 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
     "half-lines of the axis alone": (
         _BOXES,
         "rejected",
-        (_WALK, "plus[k] = steep(Arithmetic::add(way[k], Arithmetic::add(aside, lean)));", "plus[k] = steep(way[k]);"),
+        (
+            "accelerators/half_lines.h",
+            "plus[k] = steep(Arithmetic::add(way[k], Arithmetic::add(aside, lean)));",
+            "plus[k] = steep(way[k]);",
+        ),
     ),
     "planes of triangles without what the cone is wide": (
         _BLOCK,
