@@ -34,7 +34,7 @@ FIND_PYTHON = for p in $(or $(PYTHON),python3.12 python3.11 python3.10 python3 p
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test quick benchmark lint format types wheel clean distclean FORCE
+.PHONY: help demo test mutants quick benchmark lint format types wheel clean distclean FORCE
 
 help: ## this list
 	@echo "make <target>, with PYTHON=<interpreter> to choose the Python that .venv is made with"
@@ -43,8 +43,11 @@ help: ## this list
 demo: $(VENV)/.has-demo ## play a moving scene through the node, pictures into demo_output/; DATA=<folder> plays recorded depth images
 	@$(PY) -m shadow_tracer.apps.demo.demo --node $(if $(DATA),--data "$(DATA)") $(ARGS)
 
-test: $(VENV)/.has-test ## all tests, on up to four cores; ARGS="-k name" passes options to pytest, ARGS="-n 0" takes one process
-	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile $(ARGS)
+test: $(VENV)/.has-test ## all tests of the package, on up to four cores; ARGS="-k name" passes options to pytest, ARGS="-n 0" takes one process
+	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m "not mutant" $(ARGS)
+
+mutants: $(VENV)/.has-test ## tests of the tests: in copies without a safeguard some of them must fail; ARGS as for test
+	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal -m mutant $(ARGS)
 
 quick: $(VENV)/.has-test ## the tests of the inner loop: no case over a second, of each pipeline its default variant; ARGS as for test
 	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m "not slow" --default-variants --find-slow $(ARGS)

@@ -161,6 +161,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     kept, left_out = [], []
     all_cases = os.environ.get("SHADOW_TRACER_ALL_CASES")
     for item in items:
+        if item.path.name.endswith("safeguards_off.py"):
+            item.add_marker("mutant")
         mine = not (config.getoption("--kernel-form") and item.get_closest_marker("wide"))
         if mine and not all_cases and "tracer_case" in getattr(getattr(item, "callspec", None), "params", {}):
             mine = _turn(item)

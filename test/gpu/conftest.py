@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,7 +29,9 @@ def machine_code(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pa
     return code
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Compiled kernels: what a safeguard is not part of is compiled once."""
-    return tmp_path_factory.mktemp("kernels")
+    """Compiled kernels of all copies of the package, for all processes of a run: what a safeguard is not part of is
+    compiled once."""
+    base = tmp_path_factory.getbasetemp()
+    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "kernels"

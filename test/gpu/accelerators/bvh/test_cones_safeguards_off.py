@@ -101,12 +101,6 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Compiled kernels of all copies."""
-    return tmp_path_factory.mktemp("kernels")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(_MUTANTS))
 def test_its_tests_see_it(name: str, tmp_path: Path, kernels: Path) -> None:
