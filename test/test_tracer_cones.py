@@ -223,12 +223,49 @@ def test_a_budget_only_leaves_in_doubt(any_device: str) -> None:
     ends, share = cones.some(rng, 300, -1.5, 1.5)
     whole = tracer.cones((0.1, 0.2, 1.4), ends, half_angle=np.arctan(share))
     known = []
-    for budget in (1, 4, 12, 40, 10**12):
+    for budget in (1, 3, 4, 6, 10**12):
         some = tracer.cones((0.1, 0.2, 1.4), ends, half_angle=np.arctan(share), budget=budget)
         assert ((some == whole) | (some == _PARTLY)).all()
         known.append(int((some != _PARTLY).sum()))
     assert known == sorted(known) and known[0] < known[2] < known[-1]
     assert (some == whole).all()
+
+
+def test_a_hint_changes_no_answer(any_device: str) -> None:
+    """Alone, in any order, behind cones that something else hides: the same, with a budget as well."""
+    rng, tracer = np.random.default_rng(511), _tracer(any_device)
+    tracer.scene.put("ball", *_MESHES["ball"])
+    tracer.scene.put("plate", *_plate(6, 1.25))
+    ends, share = cones.some(rng, 200, -1.5, 1.5)
+    apices = np.array([0.1, 0.2, -1.4]) + 0.01 * rng.normal(size=(200, 3))
+    for budget in (None, 2, 6):
+        whole = tracer.cones(apices, ends, half_angle=np.arctan(share), budget=budget)
+        order = rng.permutation(200)
+        mixed = tracer.cones(apices[order], ends[order], half_angle=np.arctan(share)[order], budget=budget)
+        np.testing.assert_array_equal(mixed, whole[order])
+        alone = [
+            tracer.cones(a, e, half_angle=np.arctan(s), budget=budget)
+            for a, e, s in zip(apices, ends, share, strict=True)
+        ]
+        np.testing.assert_array_equal(alone, whole)
+        assert budget or (np.bincount(whole, minlength=3) > 10).all()
+
+
+def test_a_sheet_hides_whatever_else_is_there(any_device: str) -> None:
+    """Before it or behind it; of up to 128 triangles."""
+    tracer = _tracer(any_device)
+    tracer.scene.put("plate", *_plate(8))
+    tracer.scene.put("rubble", *geometry.soup(np.random.default_rng(506), 40, 0.2, 0.2))
+    assert tracer.cones((0, 0, -1), _UP, 1.2) == _BLOCKED
+    tracer.scene.move("rubble", geometry.pose_of(np.eye(3), (0.0, 0.0, 1.5)))
+    assert tracer.cones((0, 0, -1), _UP, 1.2) == _BLOCKED
+    tracer.scene.clear()
+    vertices, triangles = _plate(40)
+    tracer.scene.put("plate", vertices, triangles)
+    assert tracer.cones((0, 0, 0), _UP, 0.3) == _BLOCKED
+    assert tracer.cones((0, 0, 0), _UP, 1.5) == _PARTLY
+    around = np.hypot(*vertices[triangles].mean(axis=1)[:, :2].T)
+    assert (around < 0.15).sum() > 10 and (around < 0.7).sum() > 128
 
 
 def test_shapes_lengths_and_radii(any_device: str) -> None:

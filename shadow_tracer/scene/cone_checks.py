@@ -50,18 +50,16 @@ def _points(value: Any, field: str) -> FloatArray:
     points = reals(value, field, "real numbers of shape (..., 3)")
     if points.ndim == 0 or points.shape[-1] != 3:
         raise ValueError(f"{field}: expected real numbers of shape (..., 3), got shape {points.shape}")
-    wrong = np.argwhere(~(np.abs(points) <= LARGEST))
-    if len(wrong):
-        at = tuple(int(k) for k in wrong[0])
+    if not (points.min(initial=0.0) >= -LARGEST and points.max(initial=0.0) <= LARGEST):  # NaN comes out of both
+        at = tuple(int(k) for k in np.argwhere(~(np.abs(points) <= LARGEST))[0])
         raise ValueError(f"{field}: expected finite numbers of at most {LARGEST:g}, got {points[at]} at {at}")
     return points
 
 
 def _sizes(value: Any, field: str, least: float, most: float) -> FloatArray:
     sizes = reals(value, field, "real numbers")
-    wrong = np.argwhere(~((sizes >= least) & (sizes <= most)))
-    if len(wrong):
-        at = tuple(int(k) for k in wrong[0])
+    if sizes.size and not (sizes.min() >= least and sizes.max() <= most):
+        at = tuple(int(k) for k in np.argwhere(~((sizes >= least) & (sizes <= most)))[0])
         raise ValueError(f"{field}: expected numbers from {least:g} to {most:g}, got {sizes[at]} at {at}")
     return sizes
 
@@ -127,7 +125,7 @@ def check_cones(apex: Any, target: Any, radius: Any, half_angle: Any, length: An
     if half_angle is None and (slopes > STEEPEST).any():
         at = _first(slopes > STEEPEST)
         raise ValueError(f"radius: expected at most {STEEPEST:.1f} times the length, got {sizes[at]} at {at}")
-    return ConeArrays(shape, apices, np.insert(targets, 3, 1.0, axis=1), _wide(sizes, slopes))
+    return ConeArrays(shape, apices, _placed(targets, 1.0), _wide(sizes, slopes))
 
 
 def check_axes(apex: Any, axis: Any, half_angle: Any) -> ConeArrays:
@@ -143,14 +141,26 @@ def check_axes(apex: Any, axis: Any, half_angle: Any) -> ConeArrays:
     wrong = ~((far >= 1e-30) & (far <= 1e30))
     if wrong.any():
         raise ValueError(f"axis: expected directions of length between 1e-30 and 1e30, got {axes[_first(wrong)]}")
-    return ConeArrays(shape, apices, np.insert(axes, 3, 0.0, axis=1), _wide(angles, np.tan(angles)))
+    return ConeArrays(shape, apices, _placed(axes, 0.0), _wide(angles, np.tan(angles)))
 
 
 def _lengths(ways: FloatArray) -> FloatArray:
-    most = np.abs(ways).max(axis=1, initial=0.0)
+    x, y, z = ways.T
+    squares = x * x + y * y + z * z
+    if not squares.size or (squares.min() > 1e-200 and squares.max() < 1e200):
+        plain: FloatArray = np.sqrt(squares)
+        return plain
+    most = np.abs(ways).max(axis=1)
     scaled = ways / np.where(most > 0.0, most, 1.0)[:, None]
     lengths: FloatArray = most * np.sqrt((scaled * scaled).sum(axis=1))
     return lengths
+
+
+def _placed(points: FloatArray, w: float) -> FloatArray:
+    """(N, 4) homogeneous points."""
+    placed = np.empty((len(points), 4))
+    placed[:, :3], placed[:, 3] = points, w
+    return placed
 
 
 def _wide(sizes: FloatArray, slopes: FloatArray) -> FloatArray:

@@ -16,6 +16,10 @@ import warp as wp
 from shadow_tracer.gpu.device import native
 
 FREE, PARTLY, BLOCKED = 0, 1, 2
+NO_BUDGET = 2**31 - 1
+# Cones one after the other that have a hint together, and the most triangles that hide a cone together.
+OF_A_HINT = 64
+native.constants(CONES_OF_A_HINT=OF_A_HINT, LARGEST_SHEET=128, NO_BUDGET=NO_BUDGET)
 native.constants(CONE_FREE=FREE, CONE_PARTLY=PARTLY, CONE_BLOCKED=BLOCKED)
 native.constants(CONE_FAR_AWAY=2.0**20, CONE_ADDED=1e-6, CONE_BAND=1e-13, CONE_ROUGH=2.0**-17)
 
@@ -29,6 +33,7 @@ class ConesAsked:
     slopes: wp.array(dtype=wp.float64)
     budget: int  # nodes and triangles of each
     outcomes: wp.array(dtype=wp.uint8)
+    hints: wp.array(dtype=int)  # of cones one after the other the triangle that has hidden one of them, or -1
     most: int  # triangles of a list
     after: wp.array(dtype=wp.float64)  # the distance and number of the last that is not asked for
     after_numbers: wp.array(dtype=int)

@@ -8,13 +8,18 @@ struct HalfLines {
     double longest;                              // along the axis
     double unit;                                 // the scene's extent [m]
     bool everything;                             // the apex is too far away
+    bool narrowed;                               // only what is on the axis matters
+    // Of walks that look at several triangles together, and so leave out what is far off: whether this one does, and
+    // whether the triangle that has come may be on the axis, and hide all of the cone.
+    bool together, through_it, covers_it;
 
     static inline double steep(double slope) {
         return 1.0 / (Arithmetic::absolute(slope) < 1.0e-20 ? (slope < 0.0 ? -1.0e-20 : 1.0e-20) : slope);
     }
     // lean: of the half-lines, in parts of the distance along the axis, beyond what the cone has.
     inline HalfLines(const SceneBox& box, const Cone& cone, double slope, double lean)
-        : unit(1.0 / box.inverse_extent), everything(false) {
+        : unit(1.0 / box.inverse_extent), everything(false), narrowed(false), together(false), through_it(true),
+          covers_it(true) {
         const double at[3] = { cone.apex.x.number, cone.apex.y.number, cone.apex.z.number };
         way[0] = cone.axis.x.number, way[1] = cone.axis.y.number, way[2] = cone.axis.z.number;
         for (int k = 0; k < 3; ++k) {

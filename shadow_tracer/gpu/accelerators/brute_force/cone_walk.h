@@ -10,6 +10,6 @@ struct ConeWalk : HalfLines {
     inline ConeWalk(const ConeScene& scene, const Cone& cone, double slope, double lean, bool)
         : HalfLines(scene.tree.box, cone, slope, lean), scene(scene), after(0.0), wanted(HUGE_VAL), spent(0),
           budget(1 << 30) {}
-    inline void spread(double slope, double lean) {}
+    inline void narrow() { narrowed = true; }
     inline int next() { return spent < scene.count && spent <= budget ? spent++ : -1; }
 };

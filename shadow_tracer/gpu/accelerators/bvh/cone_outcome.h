@@ -1,92 +1,143 @@
 // needs: exact/decision.h cone_walk
-// constants: CONE_FREE CONE_PARTLY CONE_BLOCKED CONE_ADDED
+// constants: CONE_FREE CONE_PARTLY CONE_BLOCKED CONE_ADDED CONES_OF_A_HINT LARGEST_SHEET NO_BUDGET
 // arguments: ConeScene scene, ConesAsked asked
-// What is certain of a cone: cones.py says why.
+// What is certain of a cone: docs/exactness.md says why.
 struct ConeOutcome {
     const ConeScene& scene;
     const Cone& cone;
     const wp::vec4d apex, end;
-    bool met, partly, axis;
 
+    // Triangles that go on one in the other.
+    struct Sheet {
+        enum { REACHED = 4, NONE = 3 };
+        int members[LARGEST_SHEET]; // four times a triangle, and its edge from which it was reached
+        int count;
+        // False if there is no room.
+        inline bool add(int triangle, int edge) {
+            for (int k = 0; k < count; ++k)
+                if (members[k] / REACHED == triangle)
+                    return true;
+            if (count == LARGEST_SHEET)
+                return false;
+            members[count++] = REACHED * triangle + edge;
+            return true;
+        }
+    };
     inline const wp::vec3d& vertex(int number) const { return scene.vertices.data[number]; }
-    // Whether the edge's other triangle certainly goes on where this one ends, as seen from the apex.
-    inline bool goes_on(int triangle, int edge, const Cone::Corner& a, const Cone::Corner& b,
-                        const Cone::Plane& plane) const {
+    // What certainly goes on where a triangle ends at an edge, as seen from the apex: three times another triangle, and
+    // its edge; or -1.
+    inline int goes_on(int triangle, int edge, const Cone::Corner& a, const Cone::Corner& b,
+                       const Cone::Plane& plane) const {
         const int other = scene.neighbours.data[triangle][edge];
         if (other < 0)
-            return false;
+            return -1;
         const wp::vec3i& corners = scene.triangles.data[other / 3];
         const int k = other % 3;
         const Triple from(vertex(corners[k])), to(vertex(corners[k == 2 ? 0 : k + 1]));
         if (!(from.same(a.place) && to.same(b.place)) && !(from.same(b.place) && to.same(a.place)))
-            return false;
+            return -1;
         const Triple third = Triple(vertex(corners[k == 0 ? 2 : k - 1])) - cone.apex;
-        return Cone::edge_plane(a, b, plane).dot(third) < -(cone.edge_band(a, b) * third.length());
+        return Cone::edge_plane(a, b, plane).dot(third) < -(cone.edge_band(a, b) * third.length()) ? other : -1;
+    }
+    // False if the cone may reach over an edge where nothing goes on; what does joins the sheet.
+    inline bool closed(Sheet& sheet, int triangle, int edge, const Cone::Corner& a, const Cone::Corner& b,
+                       const Cone::Plane& plane) const {
+        Triple side;
+        bool sided;
+        if (cone.edge_misses(a, b, side, sided))
+            return true;
+        const int other = goes_on(triangle, edge, a, b, plane);
+        return other >= 0 && sheet.add(other / 3, other % 3);
     }
     // True if the triangle hides the end from the apex.
     inline bool on_axis(const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) const {
         return Decision::of(apex, end, a, b, c) & 1;
     }
-    // True if that is enough: one triangle hides all.
-    inline bool show(int triangle) {
-        const wp::vec3i& corners = scene.triangles.data[triangle];
-        const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
-        if (!Cone::finite(p, q, r) || cone.far_off(p, q, r))
-            return false;
-        const Cone::Corner a = cone.corner(p), b = cone.corner(q), c = cone.corner(r);
-        if (cone.misses(a, b, c) || Cone::flat(p, q, r))
-            return false;
-        met = true;
-        const Cone::Plane plane = cone.plane(a, b, c);
-        if (cone.covered_by(a, b, c, plane))
-            return true;
-        if (partly)
-            return false;
-        Triple side;
-        bool sided;
-        partly = !plane.ahead || !cone.before_end(a, b, c, plane)
-                 || !(cone.edge_misses(a, b, side, sided) || goes_on(triangle, 0, a, b, plane))
-                 || !(cone.edge_misses(b, c, side, sided) || goes_on(triangle, 1, b, c, plane))
-                 || !(cone.edge_misses(c, a, side, sided) || goes_on(triangle, 2, c, a, plane));
-        axis = axis || (!partly && on_axis(p, q, r));
-        return false;
-    }
-    // Of the ray alone, exactly: it is hidden or not.
-    inline int whole_ray(ConeWalk& walk, int budget) const {
-        for (int triangle = walk.next(); triangle >= 0; triangle = walk.next()) {
-            if (walk.spent > budget)
-                return CONE_PARTLY;
+    // Whether a sheet that begins with a triangle certainly hides all.
+    inline bool hidden_by_sheet(int first) const {
+        Sheet sheet;
+        sheet.count = 0;
+        sheet.add(first, Sheet::NONE);
+        bool axis = false;
+        for (int k = 0; k < sheet.count; ++k) {
+            const int triangle = sheet.members[k] / Sheet::REACHED, from = sheet.members[k] % Sheet::REACHED;
             const wp::vec3i& corners = scene.triangles.data[triangle];
             const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
-            if (Cone::finite(p, q, r) && on_axis(p, q, r))
-                return CONE_BLOCKED;
+            if (!Cone::finite(p, q, r))
+                return false;
+            const Cone::Corner a = cone.corner(p), b = cone.corner(q), c = cone.corner(r);
+            const Cone::Plane plane = cone.plane(a, b, c);
+            if (!plane.ahead || !cone.before_end(a, b, c, plane))
+                return false;
+            if (!(from == 0 || closed(sheet, triangle, 0, a, b, plane))
+                || !(from == 1 || closed(sheet, triangle, 1, b, c, plane))
+                || !(from == 2 || closed(sheet, triangle, 2, c, a, plane)))
+                return false;
+            const bool beside = cone.beyond(a, b, plane, cone.axis) || cone.beyond(b, c, plane, cone.axis)
+                                || cone.beyond(c, a, plane, cone.axis);
+            axis = axis || (!beside && on_axis(p, q, r));
         }
-        return walk.spent > budget ? CONE_PARTLY : CONE_FREE;
+        return axis;
     }
-    inline int whole(ConeWalk& walk, int budget) {
+    // Whether a triangle certainly hides all, alone or with those that go on from it.
+    inline bool hidden_by(int triangle, bool alone) const {
+        const wp::vec3i& corners = scene.triangles.data[triangle];
+        const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
+        if (!Cone::finite(p, q, r))
+            return false;
+        if (cone.slope.number == 0.0)
+            return on_axis(p, q, r);
+        if (alone) {
+            const Cone::Corner a = cone.corner(p), b = cone.corner(q), c = cone.corner(r);
+            if (cone.covered_by(a, b, c, cone.plane(a, b, c)))
+                return true;
+        }
+        return hidden_by_sheet(triangle);
+    }
+    inline bool misses(int triangle, bool near_by) const {
+        const wp::vec3i& corners = scene.triangles.data[triangle];
+        const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
+        if (!Cone::finite(p, q, r) || (!near_by && cone.far_off(p, q, r)))
+            return true;
+        return cone.misses(cone.corner(p), cone.corner(q), cone.corner(r)) || Cone::flat(p, q, r);
+    }
+    // hint: what hides all, if it does.
+    inline int whole(ConeWalk& walk, int budget, int& hint) const {
+        bool met = false;
+        if (cone.slope.number == 0.0)
+            walk.narrow();
         for (int triangle = walk.next(); triangle >= 0; triangle = walk.next()) {
             if (walk.spent > budget)
                 return CONE_PARTLY;
-            const bool before = partly;
-            if (show(triangle))
+            const bool unknown = !walk.narrowed && !walk.together; // whether it is near the cone at all
+            if (unknown && misses(triangle, false))
+                continue;
+            if (walk.through_it && hidden_by(triangle, walk.covers_it)) {
+                hint = triangle;
                 return CONE_BLOCKED;
-            // What may still hide all is a triangle before the axis.
-            if (partly && !before)
-                walk.spread(0.0, CONE_ADDED);
+            }
+            if (!walk.narrowed && (unknown || !misses(triangle, true))) {
+                met = true;
+                walk.narrow(); // what hides all is on the axis
+            }
         }
-        if (walk.spent > budget)
-            return CONE_PARTLY;
-        return !met ? CONE_FREE : axis && !partly ? CONE_BLOCKED : CONE_PARTLY;
+        return walk.spent > budget ? CONE_PARTLY : met ? CONE_PARTLY : CONE_FREE;
     }
     static inline void of(int number, const ConeScene& scene, const ConesAsked& asked) {
         const wp::vec3d& from = asked.apices.data[number];
         const wp::vec4d& end = asked.ends.data[number];
         const double slope = asked.slopes.data[number];
         const Cone cone = ConeWalk::cone(scene, from, end, slope);
-        ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope), true);
-        walk.budget = asked.budget;
-        ConeOutcome outcome = { scene, cone, wp::vec4d(from[0], from[1], from[2], 0.0), end, false, false, false };
-        const int found = slope == 0.0 ? outcome.whole_ray(walk, asked.budget) : outcome.whole(walk, asked.budget);
+        const ConeOutcome outcome = { scene, cone, wp::vec4d(from[0], from[1], from[2], 0.0), end };
+        int& hint = asked.hints.data[number / CONES_OF_A_HINT];
+        int found = CONE_BLOCKED;
+        if (asked.budget < NO_BUDGET || hint < 0 || !outcome.hidden_by(hint, true)) {
+            ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope), true);
+            walk.budget = asked.budget;
+            int hiding = -1;
+            found = outcome.whole(walk, asked.budget, hiding);
+            hint = hiding;
+        }
         asked.outcomes.data[number] = (unsigned char)found;
     }
 };

@@ -13,13 +13,27 @@ in float64, u = 2^-53: the origin is off by 3 u |o|, v and w by 8 u (1 + tan) t,
 by 3 u (|o| + 2); with |o| <= 2^20 = ``FAR_AWAY`` and tan <= 15 that is below 2^-24 together. A cone from farther away
 is shown every triangle. Slopes below 1e-20 are taken as that, which moves points by less than 1e-13.
 
-*Sixteen at a time.* That is in float32, u = 2^-24 from here on, for apices with |o| <= 2. The origin is off by 2 u, the
-difference to a bound by 3 u, and t by 4 u relative, which moves a point by 12 u: less than 27 u together. Slopes are
-off by 2 u (1 + tan), and ``ADDED`` to them are 16 u (1 + tan). A block's triangle is left out where ``Cone.far_off``
-says so with a rougher band: with s the sum of the corners from the apex and n = s - v (v . s), G(x) = n . x - tan |n| v
-. x is linear. As rounded it is at most 30 u (1 + tan) |s| |x| in the cone: n is off by 20 u |s|, v by u, tan by u. A
-corner is within 14 u of the real one, so G there is right to within (1 + tan) |s| (14 u + 10 u |x|). ``ROUGH`` = 128 u,
-times (1 + tan) |s| (1/4 + the sum of the corners' sizes), is more than both, sizes being sums of absolute values.
+*Sixteen at a time* (``cone_block.h``). That is in float32, u = 2^-24 from here on, for apices with |o| <= 2 along each
+axis. The origin is off by 2 u, the difference to a bound by 3 u, and t by 4 u relative, which moves a point by 12 u:
+less than 27 u together. Slopes are off by 2 u (1 + tan), and ``ADDED`` to them are 16 u (1 + tan).
+
+Of a triangle a, a + e, a + f, seen from the apex, e and f are rounded once, a is off by 3.5 u along each axis, the
+others by 6.5 u, the unit v along the axis by u. |x| is a sum of magnitudes, S the largest of |e|, |f| and |f - e|.
+``ROUGH`` is 128 u, and all pads are made larger by 1e-15 where something might underflow. A triangle is left out by
+
+- *its middle*: with s the sum of the corners and n = s - v (v . s), G(x) = n . x - tan |n| v . x is linear. As rounded
+  it is at most 30 u (1 + tan) |s| |x| in the cone: n is off by 20 u |s|, v by u, tan by u. G at a corner is right to
+  within (1 + tan) |s| (14 u + 10 u |x|). The pad, 128 u (1 + tan) |s| (1/4 + the corners' sizes), is more than both;
+- *the ends*: v . x is off by 14 u + 6 u |x| <= 68 u, and ``longest`` is 32 u longer than the axis;
+- *its plane* N . x = N . a, N = e x f. Let g be the products in N without signs, so that N is off by 4 u g and N . a by
+  3.5 u |g| + 7 u g . (|a1|, |a2|, |a3|): the pad has 8 and 16. A point t (v + w) of the cone has N . x <= t (N . v +
+  tan |N'|), N' being N across v; as rounded that is off by 32 u (1 + tan) |g| t. What of the cone is farther along than
+  all corners is not asked for;
+- *a plane* through the apex and an edge, if N . a is certainly not 0, so that the triangle's other corner is certainly
+  on one side of each. Those of two edges are a x e and f x a, off by 7 u S + 5 u |a| S, the third is N less both, off
+  by u S (14 + 16 |a| + 7 S); the product with v by u S (14 + 24 |a| + 11 S), the size across v by twice that. The pad,
+  128 u (1 + tan) S (1/4 + 0.4 |a| + 0.2 S), is more than both. The axis does not meet a triangle if it is outside of
+  one of these, which the same pad decides, and not all of a cone is hidden by it if not all of it is inside.
 
 *Nearest triangles.* What is inside the cone by roundings of the triangle's test may be outside by some 1e-8 of its
 distance (a square root of roundings, where an edge touches the cone), so ``ADDED`` is added to the slopes of the
@@ -28,7 +42,10 @@ say of that box. All boxes around it hold it, and each operation of the half-lin
 are met, no later, and to no less far. A node that is left out holds no triangle that counts and is before the last one
 found, or behind the one after which is asked, whatever has been rounded: lists do not depend on the tree.
 
-Outcomes are in ``cone_outcome.h``, docs/exactness.md proves them.
+Outcomes are in ``cone_outcome.h``, docs/exactness.md proves them. Once a triangle has met the cone, it is not free any
+more, and what hides all of it is on its axis: the walk goes on along that alone. What has hidden a cone is asked about
+first for the next ones (``hints``): what they say is so of a triangle and what goes on from it, whoever names it, and
+the walk would come to one of these. With a budget it might not, so there are no hints then.
 """
 
 from __future__ import annotations
@@ -41,7 +58,7 @@ import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.bvh.bvh import ConeScene as ConeScene
-from shadow_tracer.gpu.accelerators.cone_kernels import FREE, ConesAsked
+from shadow_tracer.gpu.accelerators.cone_kernels import FREE, NO_BUDGET, OF_A_HINT, ConesAsked
 from shadow_tracer.gpu.accelerators.walker import Build
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.stages import Stages
@@ -53,9 +70,8 @@ from shadow_tracer.scene.checks import FloatArray
 
 # Cones asked about at once, and places of their lists.
 PIECE, PLACES = 1 << 16, 1 << 19
-# Cones that a thread takes at a time.
-SOME = 512
-NO_BUDGET = 2**31 - 1
+# Cones that a thread takes at a time; hints are of fewer, so that threads have none in common.
+SOME = 8 * OF_A_HINT
 
 
 class Cones:
@@ -79,6 +95,7 @@ class Cones:
         asked.ends = wp.empty(PIECE, dtype=wp.vec4d, device=device)
         asked.slopes = wp.empty(PIECE, dtype=wp.float64, device=device)
         asked.outcomes = wp.empty(PIECE, dtype=wp.uint8, device=device)
+        asked.hints = wp.empty(-(-PIECE // OF_A_HINT), dtype=int, device=device)
         asked.after = wp.empty(PIECE, dtype=wp.float64, device=device)
         asked.after_numbers = wp.empty(PIECE, dtype=int, device=device)
         asked.distances = wp.empty(PLACES, dtype=wp.float64, device=device)
@@ -106,6 +123,7 @@ class Cones:
         for first in range(0, len(apices), PIECE):
             piece = slice(first, min(first + PIECE, len(apices)))
             count = self._put(apices[piece], ends[piece], slopes[piece])
+            asked.hints.fill_(-1)
             self._send(self._kernels.find_outcomes, count, scene)
             found[piece] = asked.outcomes[:count].numpy()
         self._build.cones_asked()
@@ -171,6 +189,6 @@ class Cones:
     def nbytes(self) -> int:
         """Bytes on the device beside the tree."""
         asked = self._asked
-        arrays = (asked.apices, asked.ends, asked.slopes, asked.outcomes, asked.after, asked.after_numbers)
+        arrays = (asked.apices, asked.ends, asked.slopes, asked.outcomes, asked.hints, asked.after, asked.after_numbers)
         own = sum(int(array.capacity) for array in (*arrays, asked.distances, asked.numbers))
         return own + self._neighbours.nbytes()

@@ -1,5 +1,5 @@
 // needs: accelerators/half_lines.h accelerators/mailboxes.h accelerators/tree_node.h
-// constants: KD_LEVELS
+// constants: KD_LEVELS CONE_ADDED
 // arguments: ConeScene scene
 // The triangles of the tree that a cone may meet, nearer cells first, one after the other; see kd_tree.py.
 struct ConeWalk : HalfLines {
@@ -25,7 +25,11 @@ struct ConeWalk : HalfLines {
         else if (meets(box, in, out))
             number = 0;
     }
-    inline void spread(double slope, double lean) { lean_by(slope, lean); }
+    // From now on only what is on the axis.
+    inline void narrow() {
+        narrowed = true;
+        lean_by(0.0, CONE_ADDED);
+    }
     inline bool matters(double from, double to) const { return from <= to && Arithmetic::mul(to, unit) >= after; }
     // The number of the next triangle, -1 at the end.
     inline int next() {

@@ -10,6 +10,7 @@ from mutants import Change, failing_tests
 
 _OUTCOMES, _HITS, _BOXES = "../test_tracer_cones.py", "../test_tracer_cone_hits.py", "accelerators/bvh/test_cones.py"
 _OUTCOME, _WALK = "accelerators/bvh/cone_outcome.h", "accelerators/bvh/cone_walk.h"
+_BLOCK, _SIXTEEN = "accelerators/bvh/test_cone_block.py", "accelerators/bvh/cone_block.h"
 _MUTANTS: dict[str, tuple[str, str, Change]] = {
     "neighbours that came apart": (
         _OUTCOMES,
@@ -26,20 +27,20 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
         (
             _OUTCOME,
             "return Cone::edge_plane(a, b, plane).dot(third) <",
-            "return true || Cone::edge_plane(a, b, plane).dot(third) <",
+            "return true ? other : Cone::edge_plane(a, b, plane).dot(third) <",
         ),
     ),
     "edges without a neighbour": (
         _OUTCOMES,
         "edge_to_edge",
-        (_OUTCOME, "if (other < 0)\n            return false;", "if (other < 0)\n            return true;"),
+        (_OUTCOME, "return other >= 0 && sheet.add(", "return other < 0 || sheet.add("),
     ),
     "sheets through the end": (_OUTCOMES, "reaches_through", (_OUTCOME, "|| !cone.before_end(a, b, c, plane)", "")),
     "triangles without area": (_OUTCOMES, "casts_nothing", (_OUTCOME, "|| Cone::flat(p, q, r)", "")),
     "answers of a budget that was too small": (
         _OUTCOMES,
         "budget",
-        (_OUTCOME, "if (walk.spent > budget)\n            return CONE_PARTLY;\n        return !met", "return !met"),
+        (_OUTCOME, "return walk.spent > budget ? CONE_PARTLY : met", "return met"),
     ),
     "covers by planes of any place": (
         _OUTCOMES,
@@ -65,8 +66,33 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
     "half-lines of the axis alone": (
         _BOXES,
         "rejected",
-        (_WALK, "plus[k] = steep(Arithmetic::add(way[k], Arithmetic::add(aside, lean)));", "plus[k] = steep(way[k]);"),
+        (
+            "accelerators/half_lines.h",
+            "plus[k] = steep(Arithmetic::add(way[k], Arithmetic::add(aside, lean)));",
+            "plus[k] = steep(way[k]);",
+        ),
     ),
+    "planes of triangles without what the cone is wide": (
+        _BLOCK,
+        "left_out",
+        (_SIXTEEN, "along * sign + slope * aside(normal, along)", "along * sign"),
+    ),
+    "planes of edges without what the cone is wide": (
+        _BLOCK,
+        "left_out",
+        (_SIXTEEN, "(turned + wide < -pad)", "(turned < -pad)"),
+    ),
+    "sides of planes that are not known": (
+        _BLOCK,
+        "left_out",
+        (_SIXTEEN, "sided = far_off > doubt", "sided = far_off >= none"),
+    ),
+    "sheets that the axis misses": (
+        _OUTCOMES,
+        "beside_rays",
+        (_OUTCOME, "        return axis;", "        return true;"),
+    ),
+    "hints with a budget": (_OUTCOMES, "hint", (_OUTCOME, "asked.budget < NO_BUDGET || hint < 0", "hint < 0")),
     "sixteen boxes by the axis alone": (
         _OUTCOMES,
         "beside_rays",
