@@ -17,8 +17,10 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer import Bounds, ShadowTracer
-from shadow_tracer.gpu.accelerators.bvh.cones import Cones, ConesAsked, ConeScene
+from shadow_tracer.gpu.accelerators.bvh.bvh import ConeScene
 from shadow_tracer.gpu.accelerators.bvh.tree import Tree
+from shadow_tracer.gpu.accelerators.cone_kernels import ConesAsked
+from shadow_tracer.gpu.accelerators.cones import Cones
 from shadow_tracer.gpu.accelerators.kd_tree.kd_tree import KdTree
 from shadow_tracer.gpu.accelerators.kd_tree.splitting import Structure
 from shadow_tracer.gpu.accelerators.walker import Walk
