@@ -74,7 +74,7 @@ wheel: $(VENV)/.has-dev ## source archive, and the wheel made from it, into dist
 	@rm build.log && ls dist/*
 
 clean: ## remove what was built, not .venv
-	rm -rf build install log dist demo_output benchmark_output *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf build install log dist demo_output benchmark_output *.egg-info .pytest_cache .mypy_cache .ruff_cache .tidy_cache
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 distclean: clean ## remove .venv too

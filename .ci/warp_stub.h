@@ -4,6 +4,7 @@ extern "C" {
 float fabsf(float);
 float floorf(float);
 float ceilf(float);
+double atan2(double, double);
 double fabs(double);
 double floor(double);
 double ceil(double);

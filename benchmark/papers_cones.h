@@ -21,7 +21,7 @@ struct CountedCones {
         counted.triangles.data[number] = shown;
     }
     // How many triangles that are in the cone have no mark, and how many have: all of the scene are tested.
-    static inline void check(int number, const ConeScene& scene, const ConesAsked& asked, const Counted& counted) {
+    static inline void check(int number, const ConeScene& scene, const ConesAsked& asked, const Counted& counted, int) {
         const wp::vec3d& from = asked.apices.data[number];
         const wp::vec4d apex(from[0], from[1], from[2], 0.0);
         const Cone within = cone(number, scene, asked);

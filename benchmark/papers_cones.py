@@ -21,7 +21,6 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ from shadow_tracer import Outcome
 
 _RAYS = (4, 16, 64)
 _ANGLES = (0.04, 0.5, 1.5, 2.5, 5.0)
-_SPARSE = 2.0  # degrees: of wider cones every seventeenth is traced
+_SPARSE = 2.0  # degrees: of wider cones about a thousand of a view are traced
 _WIDTH = 2.0 * np.tan(np.radians(30.0))  # of the image at distance 1
 _BUDGET = 200
 _Place = tuple[float, float, float]
@@ -121,28 +120,23 @@ def _mean(parts: list[Spent], factor: int = 1) -> dict[str, Any]:
     }
 
 
-def _median(call: Callable[[], Spent], turns: int) -> Spent:
-    """The turn with the median time; counts are the same in all."""
-    return sorted((call() for _ in range(turns)), key=lambda spent: spent.microseconds)[turns // 2]
-
-
 def tables(model: Model, trees: Trees, size: int, turns: int) -> list[dict[str, Any]]:
     """Rows of Table 1 or 2: of each tree, so many rays a pixel and cones of each angle."""
     rows: list[dict[str, Any]] = []
-    for tree, takes_cones in TREES.items():
+    for tree in TREES:
         shared = {"model": model.name, "triangles of it": len(model.triangles), "tree": tree}
         shared["build ms"] = trees.build_ms[tree.split(",")[0]]
         per_ray = 0.0
         for number in _RAYS:
             sets = [directions(pose, size, number) for pose in model.poses]
-            parts = [_median(partial(trees.traverse, tree, *rays, 0.0), turns) for rays in sets]
+            parts = [trees.traverse(tree, *rays, 0.0, turns) for rays in sets]
             rows.append({**shared, "rays": number, "degrees": None, **_mean(parts, number)})
             per_ray = rows[-1]["us"] / number
-        for angle in _ANGLES if takes_cones else ():
-            every = 17 if angle > _SPARSE else 1
+        for angle in _ANGLES:
+            every = max(1, size * size // 1000) if angle > _SPARSE else 1
             sets = [tuple(part[::every] for part in directions(pose, size, 1)) for pose in model.poses]
             slope = float(np.tan(np.radians(angle)))
-            parts = [_median(partial(trees.traverse, tree, *cones, slope), turns) for cones in sets]
+            parts = [trees.traverse(tree, *cones, slope, turns) for cones in sets]
             rows.append({**shared, "rays": None, "degrees": angle, **_mean(parts)})
             rows[-1]["in rays"] = rows[-1]["us"] / per_ray
     return rows
@@ -198,7 +192,7 @@ def accelerator_in_a_cone(model: Model, size: int, angle: float, turns: int) -> 
         away = pose.copy()
         away[:3, 3] = middle + times * (pose[:3, 3] - middle)
         apices, ways = directions(away, size, 1)
-        whole = _median(partial(trees.traverse, "bvh, 2 children", apices, ways, slope), turns)
+        whole = trees.traverse("bvh, 2 children", apices, ways, slope, turns)
         # To behind the model: outcomes need an end.
         length = float(np.linalg.norm(away[:3, 3] - middle) + np.ptp(model.vertices, axis=0).max())
         hits, outcomes, few = _questions(trees, apices, ways, np.radians(angle), length, turns)

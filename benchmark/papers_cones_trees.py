@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,13 @@ import numpy as np
 import warp as wp
 
 from shadow_tracer import Bounds, ShadowTracer
-from shadow_tracer.gpu.accelerators.bvh.bvh import ConeScene
+from shadow_tracer.gpu.accelerators.bvh.bvh import ConeScene as BoxCones
 from shadow_tracer.gpu.accelerators.bvh.tree import Tree
 from shadow_tracer.gpu.accelerators.cone_kernels import ConesAsked
-from shadow_tracer.gpu.accelerators.cones import Cones
-from shadow_tracer.gpu.accelerators.kd_tree.kd_tree import KdTree
+from shadow_tracer.gpu.accelerators.kd_tree.kd_tree import ConeScene as PlaneCones
 from shadow_tracer.gpu.accelerators.kd_tree.splitting import Structure
 from shadow_tracer.gpu.accelerators.walker import Walk
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.visibility.queries import Query
 
 _HERE = Path(__file__).parent
@@ -51,30 +50,47 @@ class RaysAsked:
     counted: Counted
 
 
-@native.func_native(str(_HERE / "papers_cones.h"), calls="CountedCones::count")
-def count_cone(number: int, scene: ConeScene, asked: ConesAsked, counted: Counted, together: int): ...
+def _kernel(call: str, walk: str, scene: Any) -> Any:
+    """A kernel of ``papers_cones.h`` for cones through a structure: ``walk`` is its header, ``scene`` what it takes."""
+    arguments = {"scene": scene, "asked": ConesAsked, "counted": Counted, "together": int}
 
+    def one(number, scene, asked, counted, together):  # type: ignore[no-untyped-def]
+        ...
 
-@native.func_native(str(_HERE / "papers_cones.h"), calls="CountedCones::check")
-def check_cone(number: int, scene: ConeScene, asked: ConesAsked, counted: Counted): ...
+    name = f"{call}_{Path(walk).parent.name}"
+    one.__annotations__, one.__name__, one.__qualname__ = {"number": int, **arguments}, f"one_{name}", f"one_{name}"
+    code = f"CountedCones::{call}(number, scene, asked, counted, together);"
+    take = wp.func_native(native.snippet(str(_HERE / "papers_cones.h"), call=code, roles={"cone_walk": walk}))(one)
 
+    def cones(scene, asked, counted, together):  # type: ignore[no-untyped-def]
+        take(wp.tid(), scene, asked, counted, together)
 
-@wp.kernel(enable_backward=False)
-def count_cones(scene: ConeScene, asked: ConesAsked, counted: Counted, together: int):
-    count_cone(wp.tid(), scene, asked, counted, together)
-
-
-@wp.kernel(enable_backward=False)
-def check_cones(scene: ConeScene, asked: ConesAsked, counted: Counted):
-    check_cone(wp.tid(), scene, asked, counted)
+    cones.__annotations__, cones.__name__, cones.__qualname__ = arguments, f"cones_{name}", f"cones_{name}"
+    return wp.kernel(cones, enable_backward=False, module=f"papers_cones.{Path(walk).parent.name}")
 
 
 _EVERY = Query(str(_HERE / "papers_rays.h"), RaysAsked)
-_PAIRS = Walk("accelerators/bvh/pairs.h", Tree, queries=(_EVERY,))
-_SIXTEEN = Walk("accelerators/bvh/sixteen.h", Tree, queries=(_EVERY,))
-_PLANES = Walk("accelerators/kd_tree/planes.h", Structure, queries=(_EVERY,))
-# Trees, and whether cones can go through them.
-TREES = {"bvh, 2 children": True, "bvh, 16 children": True, "kd_tree": False}
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How rays and cones go through a tree: its pipeline, the walk, the kernels; and whether cones look at sixteen
+    boxes at a time."""
+
+    pipeline: str
+    rays: Walk
+    count: Any
+    check: Any
+    together: int = 0
+
+
+_BOXES = tuple(_kernel(call, "accelerators/bvh/cone_walk.h", BoxCones) for call in ("count", "check"))
+_CELLS = tuple(_kernel(call, "accelerators/kd_tree/cone_walk.h", PlaneCones) for call in ("count", "check"))
+TREES = {
+    "bvh, 2 children": _Way("bvh", Walk("accelerators/bvh/pairs.h", Tree, queries=(_EVERY,)), *_BOXES),
+    "bvh, 16 children": _Way("bvh", Walk("accelerators/bvh/sixteen.h", Tree, queries=(_EVERY,)), *_BOXES, 1),
+    "kd_tree": _Way("kd_tree", Walk("accelerators/kd_tree/planes.h", Structure, queries=(_EVERY,)), *_CELLS),
+}
 
 
 @dataclass(frozen=True)
@@ -88,72 +104,69 @@ class Spent:
 
 
 class Trees:
-    """The trees over a mesh."""
+    """The trees over a mesh.
+
+    Attributes:
+        tracer: one that answers questions about cones by ``bvh``.
+        build_ms: processor time of making the tree of a pipeline.
+    """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
         bounds = Bounds(max_triangles=len(triangles), max_rays=1, max_lights=1)
-        self.tracer = ShadowTracer("bvh", device="cpu", bounds=bounds, threads=1)
-        self.tracer.scene.put("mesh", vertices, triangles)
-        self._device = wp.get_device("cpu")
+        self._device, self._count = wp.get_device("cpu"), len(triangles)
         self.build_ms: dict[str, float] = {}
-        self.tracer._engine.ask_cones(self.tracer.scene, self._make)
+        self._scenes: dict[str, Any] = {}
+        self._tracers = {
+            name: ShadowTracer(name, device="cpu", bounds=bounds, threads=1) for name in ("bvh", "kd_tree")
+        }
+        self.tracer = self._tracers["bvh"]
+        for name, tracer in self._tracers.items():
+            tracer.scene.put("mesh", vertices, triangles)
+            tracer._engine.ask_cones(tracer.scene, partial(self._make, name))
 
-    def _make(self, cones: Cones) -> None:
-        stages = Stages(self._device)
-        self._cones = self._timed("bvh", cones.follow)
-        buffers = cones._scene
-        self._count = buffers.triangle_count
-        self._kd_tree = KdTree("sah", buffers)
+    def _make(self, name: str, cones: Any) -> None:
         for _ in range(2):  # the first loads kernels
-            self._kd_tree.forget()
-            self._timed("kd_tree", lambda: self._kd_tree.follow(stages))
             cones._build.forget()
-            self._timed("bvh", cones.follow)
+            begin = time.process_time()
+            self._scenes[name] = cones.follow()
+            self.build_ms[name] = 1e3 * (time.process_time() - begin)
 
-    def _timed(self, tree: str, call: Any) -> Any:
-        begin = time.process_time()
-        made = call()
-        self.build_ms[tree] = 1e3 * (time.process_time() - begin)
-        return made
-
-    def traverse(self, tree: str, apices: np.ndarray, ways: np.ndarray, slope: float) -> Spent:
+    def traverse(self, tree: str, apices: np.ndarray, ways: np.ndarray, slope: float, turns: int = 1) -> Spent:
         """Rays, or cones if ``slope``, the tangent of their half angle, is not 0, from (N, 3) ``apices`` in directions
-        (N, 3); the first few are checked.
+        (N, 3), and the median time of so many turns; some are checked before.
 
         Raises:
             SystemExit: a triangle that is met was not shown.
         """
-        self._check(tree, apices[:: max(1, len(apices) // _CHECKED)], ways[:: max(1, len(ways) // _CHECKED)], slope)
-        counted = self._counted(len(apices), 0)
-        begin = time.process_time()
-        self._send(tree, self._asked(apices, ways, slope), counted)
-        spent = time.process_time() - begin
+        every = max(1, len(apices) // _CHECKED)
+        self._check(tree, apices[::every], ways[::every], slope)
+        asked, counted, spent = self._asked(apices, ways, slope), self._counted(len(apices), 0), []
+        for _ in range(turns):
+            begin = time.process_time()
+            self._send(tree, asked, counted)
+            spent.append(time.process_time() - begin)
         nodes, triangles = counted.nodes.numpy(), counted.triangles.numpy()
-        return Spent(1e6 * spent / len(apices), float(nodes.mean()), float(triangles.mean()), int(triangles.max()))
+        per_one = 1e6 * float(np.median(spent)) / len(apices)
+        return Spent(per_one, float(nodes.mean()), float(triangles.mean()), int(triangles.max()))
 
     def _check(self, tree: str, apices: np.ndarray, ways: np.ndarray, slope: float) -> None:
-        asked, counted = self._asked(apices, ways, slope), self._counted(len(apices), self._count)
+        asked, counted, way = self._asked(apices, ways, slope), self._counted(len(apices), self._count), TREES[tree]
         self._send(tree, asked, counted)
-        wp.launch(check_cones, dim=len(apices), inputs=[self._cones, asked, counted], device=self._device)
-        missed = int(counted.nodes.numpy().sum())
+        inputs = [self._scenes[way.pipeline], asked, counted, 0]
+        wp.launch(way.check, dim=len(apices), inputs=inputs, device=self._device)
+        missed, met = int(counted.nodes.numpy().sum()), int(counted.triangles.numpy().sum())
         if missed:
-            raise SystemExit(
-                f"{tree}: {missed} of {counted.triangles.numpy().sum()} triangles that are met were not shown"
-            )
+            raise SystemExit(f"{tree}: {missed} of {met} triangles that are met were not shown")
 
     def _send(self, tree: str, asked: ConesAsked, counted: Counted) -> None:
-        count, device = asked.apices.shape[0], self._device
+        count, device, way = asked.apices.shape[0], self._device, TREES[tree]
+        scene = self._scenes[way.pipeline]
         if asked.slopes.numpy()[0] > 0.0:
-            together = int(tree == "bvh, 16 children")
-            wp.launch(count_cones, dim=count, inputs=[self._cones, asked, counted, together], device=device)
+            wp.launch(way.count, dim=count, inputs=[scene, asked, counted, way.together], device=device)
             return
         rays = RaysAsked()
         rays.count, rays.apices, rays.ways, rays.counted = self._count, asked.apices, asked.ends, counted
-        if tree == "kd_tree":
-            _PLANES.launch(_EVERY, count, self._kd_tree.structure, rays, device)
-        else:
-            walk = _SIXTEEN if tree == "bvh, 16 children" else _PAIRS
-            walk.launch(_EVERY, count, self._cones.tree, rays, device)
+        way.rays.launch(_EVERY, count, scene.tree, rays, device)
 
     def _asked(self, apices: np.ndarray, ways: np.ndarray, slope: float) -> ConesAsked:
         asked = ConesAsked()

@@ -73,15 +73,18 @@ VIEWS = (
 # The stages of a frame in which a structure is made.
 _MADE_IN = ("build", "sort", "pack", "count")
 _REFERENCES = 8  # memberships in cells, of a triangle, for which there is room
+# Get better with more room than that, and have what is the library's default.
+_TAKE_ALL = ("light_buffer/cube", "ray_classification/lazy")
 # Bytes of what triangles are asked by, which every pipeline has.
 _PLAIN = "brute_force/filtered"
 
 
-def bounds_of(case: Case) -> Bounds:
+def bounds_of(case: Case, name: str) -> Bounds:
     """What fits a case, so that memory says something about the structure."""
     triangles = len(case.view.triangles)
     rays = max(frame.valid.size for frame in case.frames)
-    return Bounds(max_triangles=triangles, max_rays=rays, max_lights=1, grid_entries=_REFERENCES * triangles + 64)
+    room = max(_REFERENCES * triangles + 64, Bounds().grid_entries if name in _TAKE_ALL else 0)
+    return Bounds(max_triangles=triangles, max_rays=rays, max_lights=1, grid_entries=room)
 
 
 class Structure:
@@ -90,7 +93,7 @@ class Structure:
     def __init__(self, name: str, case: Case) -> None:
         self.name, self._case = name, case
         pipeline, variant = name.split(" ")[0].split("/")
-        self._tracer = ShadowTracer(pipeline, variant, "cpu", bounds_of(case), threads=1)
+        self._tracer = ShadowTracer(pipeline, variant, "cpu", bounds_of(case, name), threads=1)
         if name.endswith("single"):
             from shadow_tracer.gpu.accelerators.bvh.bvh import SINGLE
 

@@ -29,7 +29,7 @@ from shadow_tracer import (
     irradiance_matrix,
     plan_positions,
 )
-from shadow_tracer.scene.irradiance import irradiance_of, unit_normals
+from shadow_tracer.gpu.visibility.irradiance import irradiance_of
 from shadow_tracer.scene.patterns import across
 
 _OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "dose.png"
@@ -129,8 +129,9 @@ def accuracy() -> None:
             for _ in range(60):
                 point = np.array([*random.uniform(-0.5, 0.5, 2), 0.0]) * size
                 point[2] = -distance * size - (light.radius if isinstance(light, SphereLight) else 0.0)
-                normal = unit_normals(random.normal(size=(1, 3)), (1,))
+                normal = random.normal(size=(1, 3))
                 normal[0, 2] = abs(normal[0, 2])
+                normal /= np.linalg.norm(normal)
                 v = places - point
                 square = (v * v).sum(axis=1)
                 turned = np.maximum(-(v * normals).sum(axis=1), 0.0) / square**2 / len(places)

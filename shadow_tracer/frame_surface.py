@@ -32,15 +32,19 @@ class NormalSource(IntEnum):
 def triangle_normals(mesh: Mesh, triangles: Any) -> FloatArray:
     """(N, 3) unit normals in the world of some of a mesh's triangles, on the side from which their corners are seen
     counter-clockwise; NaN of those without an area."""
-    a, b, c = (mesh.vertices[mesh.triangles[triangles, k]] for k in range(3))
+    corners = mesh.triangles[triangles]
     with np.errstate(all="ignore"):
-        u, v = b - a, c - a
-        largest = np.maximum(np.abs(u), np.abs(v)).max(axis=1, keepdims=True)
-        across = np.cross(u / largest, v / largest)
-        across /= np.sqrt((across * across).sum(axis=1, keepdims=True))
-    across[~np.isfinite(across).all(axis=1)] = np.nan
-    turned: FloatArray = across @ mesh.pose[:3, :3].T
-    return turned
+        # A column at a time: numpy is several times faster along a long axis than along one of length three.
+        columns = [[mesh.vertices[:, axis][corners[:, k]] for k in range(3)] for axis in range(3)]
+        u, v = ([column[k] - column[0] for column in columns] for k in (1, 2))
+        largest = np.maximum.reduce([np.abs(each) for each in (*u, *v)])
+        u, v = ([each / largest for each in way] for way in (u, v))
+        across = [u[k - 2] * v[k - 1] - u[k - 1] * v[k - 2] for k in range(3)]
+        length = np.sqrt(across[0] * across[0] + across[1] * across[1] + across[2] * across[2])
+        length[~(length > 0.0)] = np.nan
+        x, y, z = (each / length for each in across)
+        turn = mesh.pose
+        return np.stack([turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z for k in range(3)], axis=-1)
 
 
 class FrameSurface:
@@ -58,12 +62,8 @@ class FrameSurface:
         self._camera = camera
         self._scene = scene
         self._revision = scene.revision
-        self._parts = [(mesh.name, mesh.vertices, mesh.triangles, mesh.pose) for mesh in scene]  # never changed
-        self._device = device
-
-    @cached_property
-    def _meshes(self) -> list[Mesh]:
-        return [Mesh(*part) for part in self._parts]
+        self._meshes = [mesh.snapshot() for mesh in scene]
+        self.device = device
 
     @cached_property
     def metres(self) -> FloatArray:
@@ -86,37 +86,48 @@ class FrameSurface:
     def normals(self) -> tuple[FloatArray, npt.NDArray[np.uint8]]:
         """(H, W, 3) unit normals in the world on the camera's side, NaN where there is none, and (H, W) values of
         :class:`NormalSource`."""
-        normals = np.full((*self._image.shape, 3), np.nan)
-        source = np.full(self._image.shape, NormalSource.NONE, np.uint8)
         depth, triangle = self._look()
         with np.errstate(all="ignore"):
             there = np.abs(self.metres - depth) <= LARGEST_JUMP * depth.astype(np.float64)
-        first = 0
-        for mesh in self._meshes:
-            seen = there & (triangle >= first) & (triangle < first + len(mesh.triangles))
-            found = triangle_normals(mesh, triangle[seen] - first)
-            way = self.positions[seen] - self._camera.camera_to_world[:3, 3]
-            found *= np.where((found * way).sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
-            known = ~np.isnan(found[:, 0])
-            seen[seen] = known
-            normals[seen] = found[known]
-            source[seen] = NormalSource.MESH
-            first += len(mesh.triangles)
-        other = (source == NormalSource.NONE) & np.isfinite(self.metres) & (self.metres > 0.0)
+        normals = self._of_triangles(np.where(there, triangle, -1))
+        way = self.positions - self._camera.position
+        with np.errstate(invalid="ignore"):
+            away = normals[..., 0] * way[..., 0] + normals[..., 1] * way[..., 1] + normals[..., 2] * way[..., 2] > 0.0
+        normals *= np.where(away, -1.0, 1.0)[..., None]
+        unknown = np.isnan(normals[..., 0])
+        source = np.where(unknown, NormalSource.NONE, NormalSource.MESH).astype(np.uint8)
+        other = unknown & np.isfinite(self.metres) & (self.metres > 0.0)
         if other.any():
             normals[other] = self.fitted[other]
             source[other & ~np.isnan(normals[..., 0])] = NormalSource.FITTED
         return normals, source
+
+    def _of_triangles(self, numbers: npt.NDArray[np.integer[Any]]) -> FloatArray:
+        """(..., 3) normals of triangles of these numbers, NaN for -1. Each triangle's is computed once."""
+        counts = [mesh.triangle_count for mesh in self._meshes]
+        seen = np.zeros(sum(counts) + 1, np.bool_)
+        seen[numbers] = True  # -1 is the last
+        seen[-1] = False
+        used, first = np.flatnonzero(seen), 0
+        found = np.full((len(used) + 1, 3), np.nan)
+        for mesh, count in zip(self._meshes, counts, strict=True):
+            low, high = np.searchsorted(used, (first, first + count))
+            if low < high:
+                found[low:high] = triangle_normals(mesh, used[low:high] - first)
+            first += count
+        place = np.full(len(seen), len(used))
+        place[used] = np.arange(len(used))
+        return found[place[numbers]]
 
     def _look(self) -> DepthAndTriangle:
         """What the camera sees of the scene as it was."""
         scene = self._scene
         if scene.revision != self._revision:
             scene = self._as_it_was()
-        return render_depth(scene, self._camera, self._device)
+        return render_depth(scene, self._camera, self.device)
 
     def _as_it_was(self) -> Scene:
-        count = sum(max(len(mesh.triangles), len(mesh.vertices)) for mesh in self._meshes)
+        count = sum(max(mesh.triangle_count, mesh.vertex_count) for mesh in self._meshes)
         scene = Scene(Bounds(max_triangles=max(1, count)))
         for mesh in self._meshes:
             scene.put(mesh.name, mesh.vertices, mesh.triangles, mesh.pose, nonfinite="skip")

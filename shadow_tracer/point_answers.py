@@ -13,7 +13,7 @@ from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, positions_of, valid_points
 from shadow_tracer.scene.frame_checks import Lights, check_bits, check_lights, check_points
-from shadow_tracer.scene.irradiance import check_strengths, irradiance_of, unit_normals
+from shadow_tracer.scene.irradiance import check_strengths, normals_of
 from shadow_tracer.scene.lights import Light
 from shadow_tracer.scene.mesh import Scene
 from shadow_tracer.visibility import State, bits_of, share_of
@@ -144,13 +144,15 @@ class PointAnswers:
             ValueError: an argument is malformed, a light has no strength; the message names it.
             BoundsError: more lights than declared, or no set of samples is free.
         """
+        from shadow_tracer.gpu.visibility.irradiance import irradiance_of
+
         shape, flat, valid, checked = self._ask(points, lights)
         check_strengths(checked)
-        facing = unit_normals(normals, shape)
+        facing = normals_of(normals, shape)
         bits = self._bits(flat, valid, checked, bias, samples)
-        found = np.stack(
-            [irradiance_of(light, flat, facing, reach) for light, reach in zip(checked, bits, strict=True)]
-        )
+        device = str(self._engine.device)
+        pairs = zip(checked, bits, strict=True)
+        found = np.stack([irradiance_of(light, flat, facing, reach, device) for light, reach in pairs])
         if valid is not None:
             found[:, ~valid] = np.nan
         return found.reshape(len(checked), *shape)

@@ -14,7 +14,7 @@ from shadow_tracer.frame_surface import FrameSurface
 from shadow_tracer.gpu.visibility.light_bits import Reaching
 from shadow_tracer.gpu.visibility.packed_states import PackedStates, as_bytes
 from shadow_tracer.scene.checks import FloatArray
-from shadow_tracer.scene.irradiance import check_strengths, irradiance_of, unit_normals
+from shadow_tracer.scene.irradiance import check_strengths, normals_of
 from shadow_tracer.scene.lights import Light
 
 ByteImage = npt.NDArray[np.uint8]
@@ -135,12 +135,14 @@ class Frame:
         names = sorted({self.names[self._number(each)] for each in some})
         lights = [self._lights[each] for each in names]
         check_strengths(tuple(lights))
+        from shadow_tracer.gpu.visibility.irradiance import irradiance_of
+
         surface = self._seen()
-        facing = unit_normals(surface.normals[0] if normals is None else normals, self._shape)
+        facing = normals_of(surface.normals[0] if normals is None else normals, self._shape)
         positions = surface.positions.reshape(-1, 3)
         total = np.zeros(len(positions))
         for light in lights:
-            total += irradiance_of(light, positions, facing, self.light_bits(light.name).ravel())
+            total += irradiance_of(light, positions, facing, self.light_bits(light.name).ravel(), surface.device)
         total[self._invalid().ravel()] = np.nan
         with np.errstate(over="ignore"):
             return total.astype(np.float32).reshape(self._shape)

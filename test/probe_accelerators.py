@@ -134,3 +134,43 @@ def binning(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> Binni
         alone = way._clusters, way._ends, way._candidates.corners(rays)
         return Binning(tiles(grid), context.occluders(rays), alone)
     return Binning(tiles(grid), way.occluders(rays), (way._bins, context.answers(rays)))
+
+
+# --- geometry_image ---
+
+
+def images(tracer: ShadowTracer) -> list[str]:
+    """Names of the surfaces that are geometry images."""
+    accelerator: Any = probe.pipeline(tracer)
+    return [placed.mesh.name for placed in accelerator._images.placed]
+
+
+def mip_map(tracer: ShadowTracer) -> tuple[list[np.ndarray], np.ndarray, float]:
+    """Boxes (N, 6) of each level of the first image, quads first, and what they are relative to: a place, and how long
+    their unit is."""
+    accelerator: Any = probe.pipeline(tracer)
+    structure, placed = accelerator._images.structure, accelerator._images.placed[0]
+    boxes, first = structure.boxes.numpy().reshape(-1, 6), placed.image.first_node
+    ends = np.cumsum([first, *placed.nodes])
+    levels = [boxes[begin:end].astype(np.float64) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+    return levels, np.array(structure.box.center), 1.0 / float(structure.box.inverse_extent)
+
+
+def count_mip_maps(tracer: ShadowTracer) -> list[str]:
+    """From now on the name of each surface whose boxes are made."""
+    names: list[str] = []
+    made: Any = probe.pipeline(tracer)
+    make = made._images._make
+
+    def note(placed: Any) -> None:
+        names.append(placed.mesh.name)
+        make(placed)
+
+    made._images._make = note
+    return names
+
+
+def spoil_mip_maps(tracer: ShadowTracer) -> None:
+    """Damage the boxes of all geometry images: none holds anything."""
+    accelerator: Any = probe.pipeline(tracer)
+    accelerator._images.structure.boxes.fill_(1.02)

@@ -49,9 +49,9 @@ def scene_uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list
         found.append((names[destination.ptr], len(source)))
         upload(destination, source, offset)
 
-    def placed(mesh: Any, first: int) -> None:
-        found.append(("placed", len(mesh.vertices)))
-        place(mesh, first)
+    def placed(mesh: Any, first: int, moved: bool) -> None:
+        found.append(("placed", mesh.vertex_count))
+        place(mesh, first, moved)
 
     monkeypatch.setattr(scene, "upload", counted)
     monkeypatch.setattr(scene, "_place", placed)
@@ -83,3 +83,15 @@ def remade(tracer: ShadowTracer, trace: Callable[[], object]) -> dict[str, set[i
         written = (array.numpy().reshape(-1) != sentinel).nonzero()[0]
         found[name] = {int(number) % apart // size for number in written}
     return found
+
+
+def corners_and_triangles(tracer: ShadowTracer, name: str) -> tuple[Any, Any]:
+    """Of a mesh as it lies on the device, after a frame: its (V, 3) vertices in the world, and its (T, 3) triangles by
+    numbers of these vertices, -1 being that of a gap."""
+    import numpy as np
+
+    scene: Any = probe.context(tracer).scene
+    part = scene._parts[name]
+    vertices = scene.vertices.numpy()[part.first_vertex : part.first_vertex + part.vertex_count]
+    found = scene.triangles.numpy()[part.first_triangle : part.first_triangle + part.triangle_count]
+    return vertices.copy(), np.where(found == 0, -1, found - part.first_vertex)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Terrain and depth images for tests, and tracers of height_field beside brute_force over them."""
+"""Terrain and depth images for tests, and tracers of a pipeline beside brute_force over them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import probe
 
-from shadow_tracer import Bounds, DirectionalLight, Scene, ShadowTracer
+from shadow_tracer import Bounds, DirectionalLight, PointLight, Scene, ShadowTracer, SpotLight
 
 Setup = Callable[[Scene], object]
 BOUNDS = {"max_triangles": 12_000, "max_rays": 30_000, "max_lights": 16, "grid_entries": 50_000}
@@ -46,6 +46,41 @@ def sun(elevation: float, azimuth: float) -> DirectionalLight:
     return DirectionalLight(f"sun {elevation:g} {azimuth:g}", -towards)
 
 
+def turned(angle: float, axis: tuple[float, float, float], place: tuple[float, float, float]) -> np.ndarray:
+    """A pose: a turn around an axis, then a shift."""
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    pose = np.eye(4)
+    pose[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    pose[:3, 3] = place
+    return pose
+
+
+def moved(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (N, 3), or one, by a pose."""
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def around(rng: np.random.Generator, positions: np.ndarray, number: int) -> np.ndarray:
+    """Points on a surface, near to it, and anywhere."""
+    flat = positions[~np.isnan(positions[..., 2])]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    some = flat[rng.integers(0, len(flat), number)]
+    span = (high - low).max()
+    near = some + 0.01 * span * rng.uniform(-1, 1, (number, 3))
+    return np.concatenate([some, near, rng.uniform(low - 0.3 * span, high + 0.3 * span, (number, 3))])
+
+
+def lights_around(center: np.ndarray, size: float) -> list[Any]:
+    """Lights of all kinds about something of that size, steep and grazing ones, near and far."""
+    ways = [(-1, 0.3, -0.2), (0, 0, -1), (0, 0, 1), (1, 0, -0.01), (1, 1, 0.01), (0, -1, 0), (0.3, 1, -1)]
+    lights: list[Any] = [DirectionalLight(f"sun {k}", way) for k, way in enumerate(ways)]
+    places = [(0, 0, 1), (0.2, 0.1, -1), (2, -1, 0), (0, 0, 0), (1e4, 0, 1e4)]
+    lights += [PointLight(f"lamp {k}", center + size * np.array(place)) for k, place in enumerate(places)]
+    lights.append(SpotLight("spot", center + (0, 0, size), (0.1, 0.2, -1.0), 0.5))
+    return lights
+
+
 def tracer(device: str, pipeline: str, **more: Any) -> ShadowTracer:
     """A fresh one."""
     threads = more.pop("threads", 1)
@@ -60,11 +95,12 @@ def agree(
     bias: float = 0.0,
     cull: bool = False,
     ours: ShadowTracer | None = None,
+    pipeline: str = "height_field",
     **more: Any,
 ) -> tuple[np.ndarray, dict[str, int], ShadowTracer]:
-    """States of points and lights that height_field and brute_force agree on, height_field's counters, and it."""
+    """States of points and lights that a pipeline and brute_force agree on, the pipeline's counters, and its tracer."""
     found = []
-    for tracing in (ours or tracer(device, "height_field", **more), tracer(device, "brute_force")):
+    for tracing in (ours or tracer(device, pipeline, **more), tracer(device, "brute_force")):
         setup(tracing.scene)
         tracing.front_face_culling = cull
         traced = probe.trace_points(tracing, points, lights, bias)

@@ -52,9 +52,15 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
         "shadow_tracer.frame_surface",
         _GPU + "visibility.packed_states",
         _GPU + "visibility.light_bits",
+        _GPU + "visibility.irradiance",
         "shadow_tracer.scene",
     ),
-    "point_answers": ("shadow_tracer.visibility", _GPU + "engine", "shadow_tracer.scene"),
+    "point_answers": (
+        "shadow_tracer.visibility",
+        _GPU + "engine",
+        _GPU + "visibility.irradiance",
+        "shadow_tracer.scene",
+    ),
     "cone_answers": (_GPU + "engine", "shadow_tracer.scene"),
     "tracer": (
         "shadow_tracer.frame_surface",

@@ -117,6 +117,7 @@ _KINDS: list[tuple[str, int, dict[str, Any], str]] = [
     ("light_buffer/cube", 1, {}, probe.USUAL),
     ("ray_classification/lazy", 1, {}, probe.USUAL),
     ("height_field/pyramid", 2, {}, probe.USUAL),
+    ("geometry_image/threaded", 2, {}, probe.CUDA),
     ("brute_force/filtered", 2, {}, probe.USUAL),
     ("auto/measured", 2, {}, probe.USUAL),
 ]

@@ -194,7 +194,9 @@ class Camera:
         z = unmasked_depth(depth).astype(np.float64)
         if z.shape != (self.height, self.width):
             raise ValueError(f"depth: expected shape {(self.height, self.width)}, got {z.shape}")
-        rays = self.pixel_rays()
-        x, y = rays[..., 0] * z, rays[..., 1] * z
-        pose = self.camera_to_world
-        return np.stack([((pose[i, 0] * x + pose[i, 1] * y) + pose[i, 2] * z) + pose[i, 3] for i in range(3)], axis=-1)
+        across, down = self.ways(*np.ogrid[: self.height, : self.width])
+        x, y = across * z, down * z
+        pose, points = self.camera_to_world, np.empty((*z.shape, 3))
+        for i in range(3):
+            points[..., i] = ((pose[i, 0] * x + pose[i, 1] * y) + pose[i, 2] * z) + pose[i, 3]
+        return points

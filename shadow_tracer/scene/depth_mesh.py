@@ -46,21 +46,70 @@ def depth_mesh(depth: Any, camera: Camera, step: int, max_jump: float) -> tuple[
     Raises:
         ValueError: an argument is malformed; the message names it.
     """
-    image = _checked(depth, camera, step, max_jump)
-    z = _corner_depths(image[::step, ::step])
+    z, across, down = _corners(checked_depth(depth, camera, step, max_jump), camera, step)
+    triangles = _triangles(z, max_jump)
+    return _read_only(_vertices(z, across, down), triangles)
+
+
+def depth_cells(image: npt.NDArray[Any], camera: Camera, step: int, max_jump: float) -> tuple[FloatArray, IntArray]:
+    """As :func:`depth_mesh`, with two triangles for each cell, row by row, as the device has them: first that at the
+    cell's left side, then the other one. One that is not there is the corner (0, 0) of its cell three times.
+
+    Args:
+        image: what :func:`checked_depth` has returned.
+    """
+    z, across, down = _corners(image, camera, step)
+    rows, columns = z.shape
+    corner = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)[:-1, :-1].reshape(-1, 1, 1)
+    triangles = np.empty((corner.size, 2, 3), np.int32)
+    triangles[...] = corner
+    for number, (found, corners) in enumerate(_band(z, max_jump) if corner.size else ()):
+        triangles[found - found // columns, number % 2] += np.array(corners, np.int32)
+    return _read_only(_vertices(z, across, down), triangles.reshape(-1, 3))
+
+
+def depth_box(image: npt.NDArray[Any], camera: Camera, step: int) -> tuple[FloatArray, FloatArray]:
+    """Two corners of a box in the optical frame that holds all vertices of :func:`depth_mesh` [m]."""
+    picked = image[::step, ::step]
+    far = float(np.max(picked, initial=0, where=(picked > 0) & (picked < np.inf)))
+    far = far / 1000.0 if image.dtype == np.uint16 else far
+    sides = [(float(np.nanmin(way)) * far, float(np.nanmax(way)) * far) for way in corner_ways(camera, step)]
+    low = np.array([max(min(least, 0.0), -LARGEST) for least, _ in sides] + [0.0])
+    high = np.array([min(max(most, 0.0), LARGEST) for _, most in sides] + [far])
+    return low, high
+
+
+def corner_ways(camera: Camera, step: int) -> tuple[FloatArray, FloatArray]:
+    """x and y at z = 1 of the rays of all corners: (1, C) and (R, 1), or both (R, C) and 0 where there is no ray."""
     across, down = camera.ways(*np.ogrid[: camera.height : step, : camera.width : step])
     if camera.rays is not None:
-        missing = ~camera.rays.known[::step, ::step]  # no ray, no measurement
-        z[missing], across[missing], down[missing] = np.nan, 0.0, 0.0
+        missing = ~camera.rays.known[::step, ::step]
+        across[missing], down[missing] = 0.0, 0.0
+    return across, down
+
+
+def _corners(image: npt.NDArray[Any], camera: Camera, step: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Depths of all corners [m], NaN where there is none, and their ways."""
+    z = _corner_depths(image[::step, ::step])
+    if camera.rays is not None:
+        z[~camera.rays.known[::step, ::step]] = np.nan  # no ray, no measurement
+    across, down = corner_ways(camera, step)
     _drop_huge(z, across, down)
-    triangles = _triangles(z, max_jump)
-    vertices = _vertices(z, across, down)
+    return z, across, down
+
+
+def _read_only(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
     for array in (vertices, triangles):
         array.setflags(write=False)
     return vertices, triangles
 
 
-def _checked(depth: Any, camera: Camera, step: int, max_jump: float) -> npt.NDArray[Any]:
+def checked_depth(depth: Any, camera: Camera, step: int, max_jump: float) -> npt.NDArray[Any]:
+    """The depth image of :func:`depth_mesh`; its arguments are checked.
+
+    Raises:
+        ValueError: one is malformed; the message names it.
+    """
     image = unmasked_depth(depth)
     if image.dtype not in (np.float32, np.uint16):
         raise ValueError(f"depth: expected dtype float32 (metres) or uint16 (millimetres), got {image.dtype}")

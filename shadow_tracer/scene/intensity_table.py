@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from shadow_tracer.scene.checks import FloatArray, direction3, real, reals
-from shadow_tracer.scene.closed_forms import dot
 
 UNITS = {"W/sr": 1.0, "mW/sr": 1e-3, "uW/cm2 at 1 m": 1e-2, "cd": 1.0}
 """What one of a file's numbers is in W/sr; of candela before it is divided by lumens per watt."""
@@ -104,8 +103,9 @@ class IntensityTable:
 
     def towards(self, directions: FloatArray) -> FloatArray:
         """(N,) intensity [W/sr] in (N, 3) directions in the world, away from the light and of any length but zero."""
-        ways = directions.T
-        x, y, down = dot(ways, self.zero), dot(ways, np.cross(-self.axis, self.zero)), dot(ways, self.axis)
+        frame = self.zero, np.cross(-self.axis, self.zero), self.axis
+        ways = directions.T  # summed in the order x, y, z, as nobody's BLAS is asked
+        x, y, down = (ways[0] * way[0] + ways[1] * way[1] + ways[2] * way[2] for way in frame)
         vertical = np.arctan2(np.hypot(x, y), down)
         row, up = _between(self.vertical, vertical)
         if len(self.horizontal) == 1:

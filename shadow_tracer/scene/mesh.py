@@ -1,113 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mesh and Scene: named triangle meshes that move and deform, checked on entry, with revision numbers.
+"""Scene: named triangle meshes that move and deform, checked on entry.
 
-A revision number changes exactly when the thing it counts changes, so whoever mirrors the scene (the device buffers)
-copies only what is new. Every check runs before anything is stored: after an error the scene is what it was.
+Every check runs before anything is stored: after an error the scene is what it was.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from shadow_tracer.scene.bounds import Bounds
+from shadow_tracer.scene.camera import Camera
 from shadow_tracer.scene.checks import BoundsError, FloatArray, name_of, rigid_pose, truth
+from shadow_tracer.scene.depth_mesh import checked_depth
 from shadow_tracer.scene.mesh_checks import IntArray, equal, triangles_of, usable, vertices_of
+from shadow_tracer.scene.parts import DepthSurface, Positions, serial
+from shadow_tracer.scene.parts import Mesh as Mesh  # for those who import it from here
 from shadow_tracer.scene.some import Some
-from shadow_tracer.scene.surface import BoolArray, organised
-
-_serial = itertools.count(1)
-
-
-@dataclass(frozen=True)
-class _Positions:
-    """What of a mesh can change while its triangles stay, in one object: a change is a single assignment, which has
-    happened or not whenever an exception comes."""
-
-    vertices: FloatArray
-    pose: FloatArray
-    vertices_revision: int
-    pose_revision: int
-    cast_shadows: bool
-
-
-class Mesh:
-    """A named triangle mesh, or an organised surface, with a rigid pose. Made and changed by :class:`Scene`; the arrays
-    are read-only."""
-
-    def __init__(
-        self,
-        name: str,
-        vertices: FloatArray,
-        triangles: IntArray,
-        pose: FloatArray,
-        grid: tuple[int, int] | None = None,
-        cast_shadows: bool = True,
-    ) -> None:
-        self.name = name
-        """Name within its scene."""
-        self.grid = grid
-        """Rows and columns of a surface, whose vertices lie row by row and whose triangles are two to a quad
-        (``surface.py``); None for any other mesh."""
-        self.triangles = triangles
-        """(T, 3) int32 zero-based vertex indices."""
-        self.topology_revision = next(_serial)
-        """Changes when the triangles change."""
-        self._positions = _Positions(vertices, pose, self.topology_revision, self.topology_revision, cast_shadows)
-        self._degenerate: tuple[int, int] | None = None
-
-    @property
-    def vertices(self) -> FloatArray:
-        """(V, 3) float64 corner positions in the mesh's own frame [m]."""
-        return self._positions.vertices
-
-    @property
-    def pose(self) -> FloatArray:
-        """(4, 4) float64 rigid transform from the mesh's frame to the world."""
-        return self._positions.pose
-
-    @property
-    def cast_shadows(self) -> bool:
-        """Whether it is an occluder. If not, it is seen by depth cameras, has normals and receives a dose as before,
-        but is in the way of nothing: neither of light nor of cones."""
-        return self._positions.cast_shadows
-
-    @property
-    def vertices_revision(self) -> int:
-        """Changes when the vertices change."""
-        return self._positions.vertices_revision
-
-    @property
-    def pose_revision(self) -> int:
-        """Changes when the pose changes."""
-        return self._positions.pose_revision
-
-    @property
-    def valid(self) -> BoolArray:
-        """(V,) vertices that are there, of a surface (R, C)."""
-        return ~np.isnan(self.vertices[:, 0]).reshape(self.grid or (len(self.vertices),))
-
-    @property
-    def degenerate_count(self) -> int:
-        """Triangles that cast nothing: zero area (in float64) or a corner that is not finite. Counted when first
-        asked."""
-        if self._degenerate is None or self._degenerate[0] != self.vertices_revision:
-            a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
-            with np.errstate(invalid="ignore", over="ignore"):
-                normal = np.cross(b - a, c - a)
-                count = int((~(np.abs(normal).max(axis=1, initial=0.0) > 0.0)).sum())
-            self._degenerate = (self.vertices_revision, count)
-        return self._degenerate[1]
-
-    def world_vertices(self) -> FloatArray:
-        """Vertices in the world, shape (V, 3) [m]; the same operations in the same order as on the device."""
-        x, y, z = self.vertices.T
-        r = self.pose
-        return np.stack([((r[i, 0] * x + r[i, 1] * y) + r[i, 2] * z) + r[i, 3] for i in range(3)], axis=-1)
+from shadow_tracer.scene.surface import Sampling, organised
 
 
 class Scene:
@@ -120,7 +33,7 @@ class Scene:
     def __init__(self, bounds: Bounds | None = None) -> None:
         self.bounds = bounds or Bounds()
         self._meshes: dict[str, Mesh] = {}
-        self._revision = next(_serial)  # always changed before the meshes: no change goes unnoticed
+        self._revision = next(serial)  # always changed before the meshes: no change goes unnoticed
         self._counts = (0, 0, 0)  # a revision, and what triangles and vertices there were
         self._occluders: Some | None = None
 
@@ -199,7 +112,13 @@ class Scene:
         return self._put(name, new_vertices, new_triangles, pose, None, cast_shadows)
 
     def put_surface(
-        self, name: str, positions: Any, valid: Any = None, pose: Any = None, cast_shadows: bool = True
+        self,
+        name: str,
+        positions: Any,
+        valid: Any = None,
+        pose: Any = None,
+        cast_shadows: bool = True,
+        level: int = 0,
     ) -> Mesh:
         """Add an organised surface or replace what has that name: the two triangles of each quad between neighbouring
         rows and columns; ``scene/surface.py`` says along which diagonal quads are cut.
@@ -213,40 +132,77 @@ class Scene:
             valid: (R, C) truth values: which positions count; None is all, of a height field all that have a height.
             pose: (4, 4) rigid transform to the world; identity if None.
             cast_shadows: whether it is an occluder; see :meth:`cast_shadows`.
+            level: of detail: the surface has every 2**level-th row and column, and the last ones. That is another
+                surface, which all pipelines agree about: where it lies below the finer one it casts less, where above
+                more. Positions in between are not looked at.
 
         Raises:
             ValueError: an argument is malformed; the message names it and the first fault's position.
             BoundsError: the scene would exceed ``bounds.max_triangles``.
         """
         name_of(name, "name")
-        surface = organised(positions, valid)
+        surface = organised(positions, valid, level=level)
         self._check_capacity(name, len(surface.vertices), surface.triangle_count)
-        return self._put(name, surface.vertices, surface.triangles(), pose, surface.grid, cast_shadows)
+        return self._put(name, surface.vertices, surface.triangles(), pose, surface.sampling, cast_shadows)
 
     def deform_surface(self, name: str, positions: Any, valid: Any = None) -> None:
         """Give a surface new positions, and a new mask.
 
         Args:
-            positions: (R, C, 3) real numbers [m], or a :class:`HeightField`, of the shape that the surface has.
+            positions: (R, C, 3) real numbers [m], or a :class:`HeightField`, of the shape that it was put with; its
+                level of detail stays.
             valid: (R, C) truth values; None: the mask stays, that of a height field comes with it.
 
         Raises:
             ValueError: no surface of that name, another shape, or a valid position that is not finite.
         """
         mesh = self[name]
-        if mesh.grid is None:
+        if mesh.sampling is None:
             raise ValueError(f"name: {name!r} is no surface; use deform()")
-        known = mesh.valid
-        surface = organised(positions, valid, known)
-        if surface.grid != mesh.grid:
+        known, had = mesh.valid, mesh.sampling
+        surface = organised(positions, valid, known, had.level)
+        if surface.sampling != had:
+            got = surface.sampling.rows, surface.sampling.columns, 3
             raise ValueError(
-                f"positions: expected shape {(*mesh.grid, 3)} as surface {name!r} has, got {(*surface.grid, 3)}; "
+                f"positions: expected shape {(had.rows, had.columns, 3)} as surface {name!r} has, got {got}; "
                 "use put_surface() to replace it"
             )
         if np.array_equal(surface.valid, known):
-            self._position(mesh, vertices=surface.vertices, vertices_revision=next(_serial))
+            self._position(mesh, vertices=surface.vertices, vertices_revision=next(serial))
         else:
-            self._put(name, surface.vertices, surface.triangles(), mesh.pose, mesh.grid, mesh.cast_shadows)
+            self._put(name, surface.vertices, surface.triangles(), mesh.pose, had, mesh.cast_shadows)
+
+    def put_depth(
+        self, name: str, depth: Any, camera: Camera, step: int = 1, max_jump: float = 0.05, cast_shadows: bool = True
+    ) -> Mesh:
+        """Add the surface that a depth image shows, or replace what has that name: the triangles between neighbouring
+        pixels that do not jump in depth (``scene/depth_mesh.py`` says which), in the pose of the camera.
+
+        The triangles are found where they are used, on the device; :attr:`Mesh.triangles` and :attr:`Mesh.vertices` are
+        computed when somebody asks for them. Each cell between four corners counts as two triangles, of which those
+        that are not there have zero area.
+
+        Args:
+            name: non-empty string.
+            depth: (H, W) float32 metres along the optical axis (zero, negative and non-finite values are no
+                measurement) or uint16 millimetres (0 is none); masked pixels are no measurement. Copied.
+            camera: intrinsics and pose.
+            step: every so many pixels a corner, at least 1.
+            max_jump: the largest relative difference of depth within a triangle, above 0 and at most 1e6.
+            cast_shadows: whether it is an occluder; see :meth:`cast_shadows`.
+
+        Raises:
+            ValueError: an argument is malformed; the message names it.
+            BoundsError: the scene would exceed ``bounds.max_triangles``.
+        """
+        name_of(name, "name")
+        casts, image = truth(cast_shadows, "cast_shadows"), checked_depth(depth, camera, step, max_jump)
+        surface = DepthSurface(name, image, camera, step, max_jump, casts)
+        totals = self._check_capacity(name, surface.vertex_count, surface.triangle_count)
+        revision = self._revision = next(serial)
+        self._meshes[name] = surface
+        self._counts = (revision, *totals)
+        return surface
 
     def _put(
         self,
@@ -254,7 +210,7 @@ class Scene:
         vertices: FloatArray,
         triangles: IntArray,
         pose: Any,
-        grid: tuple[int, int] | None,
+        sampling: Sampling | None,
         cast_shadows: bool,
     ) -> Mesh:
         """Store what has been checked; pose, flag and capacity are checked here."""
@@ -263,14 +219,14 @@ class Scene:
         new_pose.setflags(write=False)
         totals = self._check_capacity(name, len(vertices), len(triangles))
         old = self._meshes.get(name)
-        revision = self._revision = next(_serial)
-        same = old is not None and old.grid == grid and len(old.vertices) == len(vertices)
+        revision = self._revision = next(serial)
+        same = type(old) is Mesh and old.sampling == sampling and old.vertex_count == len(vertices)
         if old is not None and same and equal(old.triangles, triangles):
             moved = not np.array_equal(old.pose, new_pose)
             pose, pose_revision = (new_pose, revision) if moved else (old.pose, old.pose_revision)
-            old._positions = _Positions(vertices, pose, revision, pose_revision, casts)
+            old._positions = Positions(vertices, pose, revision, pose_revision, casts)
         else:
-            self._meshes[name] = Mesh(name, vertices, triangles, new_pose, grid, casts)
+            self._meshes[name] = Mesh(name, vertices, triangles, new_pose, sampling, casts)
         self._counts = (revision, *totals)
         return self._meshes[name]
 
@@ -285,7 +241,7 @@ class Scene:
         if np.array_equal(mesh.pose, new_pose):
             return
         new_pose.setflags(write=False)
-        self._position(mesh, pose=new_pose, pose_revision=next(_serial))
+        self._position(mesh, pose=new_pose, pose_revision=next(serial))
 
     def cast_shadows(self, name: str, casts: bool) -> None:
         """Let a mesh cast shadows, or not: a lamp's glass, a net, a mark on the floor. What does not is in the way of
@@ -310,45 +266,47 @@ class Scene:
         if mesh.grid is not None:
             raise ValueError(f"name: {name!r} is a surface; use deform_surface()")
         new_vertices = vertices_of(vertices)
+        if type(mesh) is not Mesh:
+            raise ValueError(f"name: {name!r} is the surface of a depth image; use put_depth() to replace it")
         if len(new_vertices) != len(mesh.vertices):
             raise ValueError(
                 f"vertices: expected {len(mesh.vertices)} as mesh {name!r} has, got {len(new_vertices)}; "
                 "use put() to replace it"
             )
         good = usable(new_vertices, mesh.triangles, nonfinite)
-        self._position(mesh, vertices=good, vertices_revision=next(_serial))
+        self._position(mesh, vertices=good, vertices_revision=next(serial))
 
     def remove(self, name: str) -> None:
         """Remove a mesh. Raises ValueError if there is none of that name."""
         mesh = self[name]
-        triangles, vertices = self.triangle_count - len(mesh.triangles), self.vertex_count - len(mesh.vertices)
-        revision = self._revision = next(_serial)
+        triangles, vertices = self.triangle_count - mesh.triangle_count, self.vertex_count - mesh.vertex_count
+        revision = self._revision = next(serial)
         del self._meshes[mesh.name]
         self._counts = (revision, triangles, vertices)
 
     def clear(self) -> None:
         """Remove every mesh."""
         if self._meshes:
-            self._revision = next(_serial)
+            self._revision = next(serial)
             self._meshes = {}
 
     def _position(self, mesh: Mesh, **changes: Any) -> None:
         totals = self._counted()[1:]
-        revision = self._revision = next(_serial)
+        revision = self._revision = next(serial)
         mesh._positions = replace(mesh._positions, **changes)
         self._counts = (revision, *totals)
 
     def _counted(self) -> tuple[int, int, int]:
         if self._counts[0] != self._revision:  # an exception came in the middle of a change
-            triangles = sum(len(mesh.triangles) for mesh in self)
-            self._counts = (self._revision, triangles, sum(len(mesh.vertices) for mesh in self))
+            triangles = sum(mesh.triangle_count for mesh in self)
+            self._counts = (self._revision, triangles, sum(mesh.vertex_count for mesh in self))
         return self._counts
 
     def _check_capacity(self, name: str, vertex_count: int, triangle_count: int) -> tuple[int, int]:
         """Triangles and vertices that the scene would have."""
         old = self._meshes.get(name)
-        triangles = self.triangle_count + triangle_count - (len(old.triangles) if old else 0)
-        vertices = self.vertex_count + vertex_count - (len(old.vertices) if old else 0)
+        triangles = self.triangle_count + triangle_count - (old.triangle_count if old else 0)
+        vertices = self.vertex_count + vertex_count - (old.vertex_count if old else 0)
         limit = self.bounds.max_triangles
         if triangles > limit:
             raise BoundsError(

@@ -25,8 +25,8 @@ class Some:
     def __init__(self, meshes: Sequence[Mesh], revision: int) -> None:
         self._meshes = meshes
         self.revision = revision
-        self.triangle_count = sum(len(mesh.triangles) for mesh in meshes)
-        self.vertex_count = sum(len(mesh.vertices) for mesh in meshes)
+        self.triangle_count = sum(mesh.triangle_count for mesh in meshes)
+        self.vertex_count = sum(mesh.vertex_count for mesh in meshes)
 
     def __iter__(self) -> Iterator[Mesh]:
         return iter(self._meshes)
@@ -36,7 +36,7 @@ class Numbering:
     """Numbers of triangles: counted through all meshes of a scene, and through its occluders."""
 
     def __init__(self, scene: Scene) -> None:
-        counts = np.array([len(mesh.triangles) for mesh in scene], np.int64)
+        counts = np.array([mesh.triangle_count for mesh in scene], np.int64)
         casting = np.array([mesh.cast_shadows for mesh in scene], np.bool_)
         self._all = casting.all()
         self._count = counts[casting]

@@ -22,6 +22,7 @@ from shadow_tracer.scene.checks import LARGEST, FloatArray, finite, real, refuse
 IntArray = npt.NDArray[np.int32]
 BoolArray = npt.NDArray[np.bool_]
 
+_COARSEST = 15  # level
 _UNIT = 1e-6  # how far axes may be from unit length and a right angle
 
 
@@ -93,16 +94,46 @@ class HeightField:
 
 
 @dataclass(frozen=True)
+class Sampling:
+    """Which of the rows and columns that a surface was given it has: every 2**level-th from the first on, and the last,
+    so that its borders end where they did, and charts that met there still do.
+
+    Attributes:
+        rows, columns: how many it was given.
+    """
+
+    rows: int
+    columns: int
+    level: int = 0
+
+    def kept(self) -> tuple[IntArray, IntArray]:
+        """Numbers of these rows and columns."""
+        found = []
+        for count in (self.rows, self.columns):
+            some = np.arange(0, count, 2**self.level, dtype=np.int32)
+            found.append(some if some[-1] == count - 1 else np.append(some, np.int32(count - 1)))
+        return found[0], found[1]
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """How many rows and columns these are."""
+        rows, columns = self.kept()
+        return len(rows), len(columns)
+
+
+@dataclass(frozen=True)
 class Organised:
     """A surface's arguments, checked.
 
     Attributes:
         vertices: (R * C, 3) positions row by row, NaN where they are not valid; read-only.
         valid: (R, C).
+        sampling: what was given, of which these are some.
     """
 
     vertices: FloatArray
     valid: BoolArray
+    sampling: Sampling
 
     @property
     def grid(self) -> tuple[int, int]:
@@ -137,13 +168,15 @@ class Organised:
         return made
 
 
-def organised(positions: Any, valid: Any, known: BoolArray | None = None) -> Organised:
-    """Check a surface's positions and mask.
+def organised(positions: Any, valid: Any, known: BoolArray | None = None, level: Any = 0) -> Organised:
+    """Check a surface's positions and mask; what is left out for the level is not looked at.
 
     Args:
         positions: (R, C, 3) real numbers [m], or a :class:`HeightField`; what has been checked comes back as it is.
         valid: (R, C) truth values, or None for ``known``, and if that is None for all (of a height field all that have
             a height).
+        known: (R', C') of the rows and columns that are kept.
+        level: see ``Sampling``.
 
     Raises:
         ValueError: an argument is malformed, or a position that is valid is not finite or beyond 1e50.
@@ -154,27 +187,36 @@ def organised(positions: Any, valid: Any, known: BoolArray | None = None) -> Org
         grid, own = positions.positions(), positions.valid
     else:
         grid, own = _grid(positions), None
+    if isinstance(level, bool) or not isinstance(level, (int, np.integer)) or not 0 <= level <= _COARSEST:
+        raise ValueError(f"level: expected an integer from 0 to {_COARSEST}, got {level!r}")
     rows, columns = grid.shape[:2]
-    if valid is not None:
-        mask = _mask(valid, rows, columns)
+    sampling = Sampling(rows, columns, int(level))
+    kept = sampling.kept()
+    shape, some = (len(kept[0]), len(kept[1])), np.ix_(*kept)
+    mask = _mask(valid, rows, columns) if valid is not None else None
+    if sampling.level:
+        grid = grid[some]
+        mask, own = (None if each is None else each[some] for each in (mask, own))
+    if mask is not None:
         mask = mask if own is None else mask & own
     elif own is not None:
         mask = own
     else:
-        mask = np.ones((rows, columns), np.bool_) if known is None or known.shape != (rows, columns) else known
+        mask = np.ones(shape, np.bool_) if known is None or known.shape != shape else known
     vertices = grid.reshape(-1, 3)
     flat = mask.reshape(-1)
     good = np.abs(vertices) <= LARGEST  # NaN compares false
     wrong = flat & ~(good[:, 0] & good[:, 1] & good[:, 2])
     if wrong.any():
-        row, column = divmod(int(np.flatnonzero(wrong)[0]), columns)
+        row, column = divmod(int(np.flatnonzero(wrong)[0]), shape[1])
         raise ValueError(
             f"positions: expected finite coordinates of at most {LARGEST:g} where they are valid, got "
-            f"{grid[row, column].tolist()} at row {row}, column {column} (give valid= to leave positions out)"
+            f"{grid[row, column].tolist()} at row {kept[0][row]}, column {kept[1][column]} (give valid= to leave "
+            "positions out)"
         )
     vertices[~flat] = np.nan
     vertices.setflags(write=False)
-    return Organised(vertices, mask)
+    return Organised(vertices, mask, sampling)
 
 
 def _is_nan(value: Any) -> bool:

@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import irradiance_by_numpy
 import lamps
 import numpy as np
 import pytest
@@ -23,8 +24,9 @@ from shadow_tracer import (
     SunDisc,
     TubeLight,
 )
-from shadow_tracer.scene.closed_forms import polygon
-from shadow_tracer.scene.irradiance import irradiance_of, power_of, unit_normals
+from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.visibility.irradiance import irradiance_of
+from shadow_tracer.scene.irradiance import LAWS, law_of, normals_of, power_of
 
 WATT = Strength(power=1.0)
 UNIT_RADIANCE = Strength(exitance=math.pi)
@@ -36,8 +38,8 @@ SPHERE = SphereLight("bulb", (0.0, 0.0, 0.0), 0.2, samples=64, strength=WATT)
 
 def at(light: Any, point: Any, normal: Any, bits: Any = lamps.ALL) -> float:
     """Of a light, on one sample."""
-    facing = unit_normals(np.array([normal], float), (1,))
-    return float(irradiance_of(light, np.array([point], float), facing, np.array([bits], np.uint64))[0])
+    facing = np.array([normal], float)
+    return float(irradiance_of(light, np.array([point], float), facing, np.array([bits], np.uint64), "cpu")[0])
 
 
 @pytest.mark.parametrize("samples", [2, 8, 64])
@@ -238,31 +240,43 @@ def test_no_sample_changes_another_ones_bits() -> None:
     points, normals = random.normal(size=(2, 5000, 3))
     points[:, 2] = -np.abs(points[:, 2]) - 0.3
     bits = random.integers(0, 2**63, 5000, dtype=np.uint64)
-    facing = unit_normals(normals, (5000,))
     order = random.permutation(5000)
     for light in EVERY:
-        together = irradiance_of(light, points, facing, bits)
-        assert np.array_equal(irradiance_of(light, points[order], facing[order], bits[order]), together[order])
-        assert np.array_equal(irradiance_of(light, points[7:8], facing[7:8], bits[7:8]), together[7:8])
+        together = irradiance_of(light, points, normals, bits)
+        assert np.array_equal(irradiance_of(light, points[order], normals[order], bits[order]), together[order])
+        assert np.array_equal(irradiance_of(light, points[7:8], normals[7:8], bits[7:8]), together[7:8])
 
 
 def test_unknown_normals() -> None:
     light = replace(RECTANGLE, strength=WATT)
     points = np.tile([0.1, 0.2, -1.0], (3, 1))
-    facing = unit_normals([[np.nan, 0, 1], [0, 0, 0], [0, 0, 5]], (3,))
+    facing = normals_of([[np.nan, 0, 1], [0, 0, 0], [0, 0, 5]], (3,))
     found = irradiance_of(light, points, facing, np.array([1, 0, 1], np.uint64))
     assert math.isnan(found[0]) and found[1] == 0.0 and found[2] > 0.0
     with pytest.raises(ValueError, match=r"normals: expected real numbers of shape \(3, 3\)"):
-        unit_normals(np.zeros((2, 3)), (3,))
+        normals_of(np.zeros((2, 3)), (3,))
 
 
 @pytest.mark.parametrize("light", EVERY, ids=lambda light: f"{light.name}-{light.strength.model}")
 def test_no_law_takes_an_unknown_normal_for_a_dark_surface(light: Any) -> None:
     """Whether some of its points reach, or all."""
     points = np.tile([0.1, 0.2, -1.0], (3, 1))
-    facing = unit_normals(np.full((3, 3), np.nan), (3,))
+    facing = np.full((3, 3), np.nan)
     bits = np.array([1, lamps.ALL, 2 ** getattr(light, "samples", 1) - 1], np.uint64)
     assert np.isnan(irradiance_of(light, points, facing, bits)).all()
+
+
+def test_pieces_that_a_gpu_takes_are_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In buffers, some samples at a time, as where the CPU has them."""
+    random = np.random.default_rng(12)
+    points, normals = random.normal(size=(2, 700, 3))
+    bits = random.integers(0, 2**63, 700, dtype=np.uint64)
+    for light in (TUBE, DISC, EVERY[-1]):
+        expected = irradiance_of(light, points, normals, bits, "cpu")
+        monkeypatch.setattr("shadow_tracer.gpu.visibility.irradiance._PIECE", 256)
+        with forms.cuda_form():
+            np.testing.assert_array_equal(irradiance_of(light, points, normals, bits, "cpu"), expected)
+    assert irradiance_of(TUBE, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint64), "cpu").shape == (0,)
 
 
 def test_a_disc_behind_the_surface_gives_nothing() -> None:
@@ -279,12 +293,48 @@ def test_points_of_a_wide_sun_span_what_they_are_seen_to() -> None:
 
 
 def test_polygons_seen_edge_on_and_from_below_give_nothing() -> None:
-    corners = np.array([(1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0.0)])
-    points = np.array([[3.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]).T
-    normals = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]).T
-    found = polygon(corners, points, normals)
-    assert found[0] == pytest.approx(0.0, abs=1e-12) and found[1] == 0.0
-    assert found[2] == pytest.approx(4.0 * lamps.rectangle_corner(1.0, 1.0, 1.0, 1.0))
+    both = RectangleLight("panel", (0, 0, 0), (1, 0, 0), (0, 1, 0), two_sided=True, strength=UNIT_RADIANCE)
+    assert at(both, (3.0, 0.0, 0.0), (-1.0, 0.0, 0.0)) == pytest.approx(0.0, abs=1e-12)
+    assert at(both, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)) == 0.0
+    for z in (-1.0, 1.0):
+        assert at(both, (0.0, 0.0, z), (0.0, 0.0, -z)) == pytest.approx(
+            4.0 * lamps.rectangle_corner(1.0, 1.0, 1.0, 1.0)
+        )
+
+
+def bound(light: Any, points: Any, bits: Any) -> Any:
+    """(N,) by how much two ways to compute it may differ: twice what ``gpu/visibility/irradiance.py`` derives of one,
+    with two roundings for each of a function of the C library."""
+    law, u = law_of(light), 2.0**-53
+    # A surface that faces the light gets no more than the six that face along the axes together.
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    facing = sum(irradiance_by_numpy.irradiance_of(light, points, np.tile(n, (len(points), 1)), bits) for n in axes)
+    steps = 24.0 + 2.0 * law.count
+    if law.kind == LAWS.index("line"):
+        steps += 16.0 * law.count * (np.linalg.norm(points - law.centre, axis=1) + law.length) / law.length
+    # Edges of a polygon cancel: each has the angle that it spans.
+    edges = np.linalg.norm(law.corners - np.roll(law.corners, 1, axis=0), axis=1).sum()
+    near = min((np.linalg.norm(points - corner, axis=1) for corner in law.corners), key=np.min, default=1.0)
+    return u * (steps * facing + 16.0 * max(1, len(law.corners)) * law.scale * edges / near)
+
+
+@pytest.mark.parametrize("light", EVERY, ids=lambda light: f"{light.name}-{light.strength.model}")
+def test_the_kernel_is_as_exact_as_it_says(any_device: str, light: Any) -> None:
+    """Against another text of the same laws, in numpy, point by point and piece by piece: all reach, some, one."""
+    random = np.random.default_rng(11)
+    points = random.normal(size=(900, 3)) * random.choice([0.5, 1.0, 10.0], (900, 1))
+    normals = random.normal(size=(900, 3)) * random.choice([1e-200, 1.0, 1e200], (900, 1))
+    bits = random.integers(0, 2**63, 900, dtype=np.uint64) * np.uint64(2)
+    bits[::3] = 2**64 - 1
+    bits[1::9] = np.uint64(1) << random.integers(0, 64, 100, dtype=np.uint64)
+    count = getattr(light, "samples", 1)
+    bits &= np.uint64(2**count - 1)
+    found = irradiance_of(light, points, normals, bits, any_device)
+    expected = irradiance_by_numpy.irradiance_of(light, points, normals, bits)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
+    known = ~np.isnan(found)
+    assert (np.abs(found - expected) <= bound(light, points, bits))[known].all()
+    assert (found[known] > 0.0).sum() > 50
 
 
 @pytest.mark.parametrize(

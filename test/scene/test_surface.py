@@ -96,6 +96,44 @@ def test_deformed_surfaces_keep_their_triangles_and_their_mask() -> None:
     assert scene["ground"].valid.all() and np.array_equal(scene["ground"].pose, pose), "a height field brings its mask"
 
 
+@pytest.mark.parametrize("shape", [(9, 13), (10, 12), (2, 3), (1, 1)])
+@pytest.mark.parametrize("level", [0, 1, 2, 15])
+def test_a_level_of_detail_is_the_surface_of_some_positions(shape: tuple[int, int], level: int) -> None:
+    """Every so many rows and columns, and the last ones; deformed likewise, with and without another mask."""
+    scene, (rows, columns) = Scene(), shape
+    kept = np.ix_(*(sorted({*range(0, count, 2**level), count - 1}) for count in shape))
+    valid = np.arange(rows * columns).reshape(shape) % 5 != 2
+    mesh, fresh = scene.put_surface("cloth", _grid(*shape), valid, level=level), Scene()
+    coarse = fresh.put_surface("cloth", _grid(*shape)[kept], valid[kept])
+    assert mesh.grid == coarse.grid == (len(kept[0]), kept[1].shape[1])
+    for given, mask in ((None, None), (_grid(*shape) + 2.0, None), (_grid(*shape), ~valid), (_grid(*shape), None)):
+        if given is not None:
+            scene.deform_surface("cloth", given, mask)
+            fresh.deform_surface("cloth", given[kept], None if mask is None else mask[kept])
+        assert np.array_equal(scene["cloth"].vertices, fresh["cloth"].vertices, equal_nan=True)
+        assert np.array_equal(scene["cloth"].triangles, fresh["cloth"].triangles)
+        assert np.array_equal(scene["cloth"].valid, fresh["cloth"].valid)
+    message = rf"^positions: expected shape \({rows}, {columns}, 3\) as surface 'cloth' has"
+    with pytest.raises(ValueError, match=message):
+        scene.deform_surface("cloth", _grid(rows + 1, columns))
+
+
+def test_the_same_positions_at_another_level_are_another_surface() -> None:
+    """Two by two positions have the same four at any level, but what they are given next differs."""
+    scene = Scene()
+    scene.put_surface("cloth", _grid(2, 2))
+    scene.put_surface("cloth", _grid(3, 3), level=1)
+    scene.deform_surface("cloth", _grid(3, 3) + 1.0)
+    assert scene["cloth"].vertices[-1].tolist() == (_grid(3, 3)[2, 2] + 1.0).tolist()
+
+
+def test_a_level_of_a_field_of_heights() -> None:
+    z = np.arange(20.0).reshape(4, 5)
+    z[2, 2] = z[1, 1] = np.nan
+    mesh = Scene().put_surface("ground", HeightField(z, 1.0), level=1)
+    assert mesh.grid == (3, 3) and np.argwhere(~mesh.valid).tolist() == [[1, 1]]
+
+
 def test_a_mesh_in_place_of_a_surface_and_back() -> None:
     scene = Scene()
     surface = scene.put_surface("thing", _grid(3, 3))
@@ -129,6 +167,9 @@ _NAN[1, 2, 0] = np.nan
         ({"positions": _grid(3, 3), "valid": np.ones((3, 3))}, "^valid: expected truth values"),
         ({"positions": _grid(3, 3), "valid": [[True], [True, False]]}, "^valid: expected truth values.*got list"),
         ({"positions": _grid(3, 3), "pose": np.zeros((4, 4))}, "^pose: "),
+        ({"positions": _grid(3, 3), "level": -1}, "^level: expected an integer from 0 to 15, got -1"),
+        ({"positions": _grid(3, 3), "level": 1.0}, "^level: expected an integer"),
+        ({"positions": _grid(3, 3), "level": True}, "^level: expected an integer"),
         ({"positions": _grid(9, 9)}, "^bounds.max_triangles: "),
         ({"positions": _grid(3, 3), "name": ""}, "^name: "),
     ],

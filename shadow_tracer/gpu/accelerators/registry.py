@@ -94,6 +94,11 @@ REGISTRY: dict[str, PipelineEntry] = {
         {"pyramid": "height_field.height_field:HeightFields"},
         ("pyramid",),
     ),
+    "geometry_image": PipelineEntry(
+        "surfaces as images under MIP maps of boxes, rays go through these without a stack; meshes as in mesh_bvh",
+        {"threaded": "geometry_image.geometry_image:GeometryImages"},
+        ("threaded",),
+    ),
     "kd_tree": PipelineEntry(
         "a tree of planes along the axes, where they make rays cheapest; rays walk from cell to cell",
         {"sah": "kd_tree.kd_tree:KdTree"},

@@ -13,12 +13,12 @@ holds more than it need.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
@@ -26,10 +26,12 @@ from shadow_tracer.gpu.device.shared import Shared
 from shadow_tracer.gpu.device.transfers import Uploads
 from shadow_tracer.gpu.exact.records import GAP_VERTEX
 from shadow_tracer.gpu.occluders.changes import Changed, History, Revision
+from shadow_tracer.gpu.occluders.depth_surface import DepthSurfaces
 from shadow_tracer.gpu.occluders.slots import Range, Ranges, Room, merged
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, all_three
 from shadow_tracer.scene.mesh import Mesh, Scene
+from shadow_tracer.scene.parts import DepthSurface
 from shadow_tracer.scene.some import Some
 
 # Gaps of more than this share of what there is are closed.
@@ -92,7 +94,7 @@ class _Part:
     vertices: int
     pose: int
     mesh: Mesh
-    mesh_vertices: FloatArray  # (V, 3) in the mesh's own frame
+    find_box: Callable[[], tuple[FloatArray, FloatArray]]  # of its vertices in its own frame
     mesh_pose: FloatArray
     finite: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)  # box of its vertices, once it is known
 
@@ -104,7 +106,7 @@ class _Part:
 
     def fits(self, mesh: Mesh) -> bool:
         """Whether the mesh may lie there."""
-        return (self.vertex_count, self.triangle_count) == (len(mesh.vertices), len(mesh.triangles))
+        return (self.vertex_count, self.triangle_count) == (mesh.vertex_count, mesh.triangle_count)
 
 
 class SceneBuffers:
@@ -130,6 +132,7 @@ class SceneBuffers:
         self.local = wp.empty(0 if forms.wide(device) else vertices, dtype=wp.vec3d, device=device)
         self.vertices = wp.empty(vertices, dtype=wp.vec3d, device=device)
         self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
+        self._depths = DepthSurfaces(device, self.upload)
         self.triangle_count = self.vertex_count = self.live_triangles = 0
         self.revision = Revision()
         self.left_out: Ranges = ()
@@ -174,11 +177,15 @@ class SceneBuffers:
         for name, part in self._parts.items():
             first, last = part.slot[1]
             if name not in gone and any(begin < last and first < end for begin, end in self.left_out):
-                self._put_triangles(part.mesh.triangles, part.first_vertex, first)
+                self._put_triangles(part.mesh, part.first_vertex, first)
         self.left_out = out
 
-    def _put_triangles(self, triangles: npt.NDArray[np.int32], first_vertex: int, first: int) -> None:
-        self.upload(self.triangles, triangles + np.int32(first_vertex), first)
+    def _put_triangles(self, mesh: Mesh, first_vertex: int, first: int) -> None:
+        """A mesh's triangles, from number ``first`` on; of a depth image after its vertices."""
+        if isinstance(mesh, DepthSurface):
+            self._depths.triangles(mesh, self.local, first_vertex, first, self.triangles)
+        else:
+            self.upload(self.triangles, mesh.triangles + np.int32(first_vertex), first)
 
     def _begin_anew(self) -> None:
         """What is there is not known: a revision that nothing has been made for."""
@@ -201,6 +208,7 @@ class SceneBuffers:
                 vertices += [part.slot[0]] if part.triangle_count else []
         left = [old.slot for name, old in before.items() if name not in parts or parts[name].slot != old.slot]
         self._parts = parts
+        self._depths.keep({name for name, part in parts.items() if isinstance(part.mesh, DepthSurface)})
         self._copied = scene.revision
         self.live_triangles = scene.triangle_count
         slots = [part.slot for part in parts.values()]
@@ -232,14 +240,14 @@ class SceneBuffers:
         for mesh, part in zip(meshes, kept, strict=True):
             at: tuple[int | None, int | None]
             if part is None:
-                at = vertices.take(len(mesh.vertices)), triangles.take(len(mesh.triangles))
+                at = vertices.take(mesh.vertex_count), triangles.take(mesh.triangle_count)
             else:
                 at = part.first_vertex, part.first_triangle
             if at[0] is None or at[1] is None:
                 return _end_to_end(scene)
             places.append((at[0], at[1]))
-            most_vertices = max(most_vertices, at[0] + len(mesh.vertices))
-            most_triangles = max(most_triangles, at[1] + len(mesh.triangles))
+            most_vertices = max(most_vertices, at[0] + mesh.vertex_count)
+            most_triangles = max(most_triangles, at[1] + mesh.triangle_count)
         wasted = most_vertices - 1 > (1.0 + _WASTE) * scene.vertex_count
         wasted |= most_triangles > (1.0 + _WASTE) * scene.triangle_count
         return _end_to_end(scene) if wasted else places
@@ -267,7 +275,7 @@ class SceneBuffers:
     def nbytes(self) -> int:
         """Bytes reserved on the device, and by what is made of the scene."""
         own = int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
-        return own + self.made.nbytes()
+        return own + self._depths.nbytes() + self.made.nbytes()
 
     def _sync_part(self, mesh: Mesh, first_vertex: int, first_triangle: int) -> tuple[_Part, bool, bool]:
         """Copy what changed of a mesh; returns whether its triangles, and its vertices, were there."""
@@ -277,35 +285,38 @@ class SceneBuffers:
             and old.topology == mesh.topology_revision
             and (old.first_vertex, old.first_triangle) == (first_vertex, first_triangle)
         )
-        if not placed:
-            self._put_triangles(mesh.triangles, first_vertex, first_triangle)
         moved = not placed or old is None or old.vertices != mesh.vertices_revision
-        if moved and not forms.wide(self.device):
-            self.upload(self.local, mesh.vertices, first_vertex)
         positioned = not moved and old is not None and old.pose == mesh.pose_revision
         if not positioned:
-            self._place(mesh, first_vertex)
+            self._place(mesh, first_vertex, moved)
+        if not placed:
+            self._put_triangles(mesh, first_vertex, first_triangle)
         part = _Part(
             first_vertex,
             first_triangle,
-            len(mesh.vertices),
-            len(mesh.triangles),
+            mesh.vertex_count,
+            mesh.triangle_count,
             mesh.topology_revision,
             mesh.vertices_revision,
             mesh.pose_revision,
             mesh,
-            mesh.vertices,
+            mesh.box if isinstance(mesh, DepthSurface) else partial(_finite_box, mesh.vertices),
             mesh.pose,
             old.finite if old is not None and old.vertices == mesh.vertices_revision else [],
         )
         return part, placed, positioned
 
-    def _place(self, mesh: Mesh, first: int) -> None:
-        """A mesh's vertices in the world, from vertex ``first`` on."""
-        count = len(mesh.vertices)
+    def _place(self, mesh: Mesh, first: int, moved: bool) -> None:
+        """A mesh's vertices in the world, from vertex ``first`` on; ``moved``: in its frame they are other ones."""
+        count = mesh.vertex_count
         rows = [wp.vec4d(*row) for row in mesh.pose[:3]]
-        if forms.wide(self.device):
+        if isinstance(mesh, DepthSurface):
+            local = self._depths.corners(mesh, self.local, first)[:count]
+        elif forms.wide(self.device):
             local = wp.array(ptr=mesh.vertices.ctypes.data, dtype=wp.vec3d, shape=(count,), device=self.device)
+        elif moved:
+            self.upload(self.local, mesh.vertices, first)
+        if forms.wide(self.device):
             inputs, blocks = [*rows, first, local, self.vertices], -(-count // int(_BLOCK))
             wp.launch(transform_blocks, dim=blocks, inputs=inputs, device=self.device)
         else:
@@ -322,7 +333,7 @@ class SceneBuffers:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for part in self._parts.values():
             if not part.finite:
-                part.finite.append(_finite_box(part.mesh_vertices))
+                part.finite.append(part.find_box())
             least, most = part.finite[0]
             if part.triangle_count == 0 or not np.all(least <= most):
                 continue
@@ -341,8 +352,8 @@ def _end_to_end(scene: Scene | Some) -> list[tuple[int, int]]:
     vertices, triangles = GAP_VERTEX + 1, 0
     for mesh in scene:
         places.append((vertices, triangles))
-        vertices += len(mesh.vertices)
-        triangles += len(mesh.triangles)
+        vertices += mesh.vertex_count
+        triangles += mesh.triangle_count
     return places
 
 

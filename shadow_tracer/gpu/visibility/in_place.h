@@ -24,47 +24,53 @@ struct InPlace1 {
     static inline bool same(const wp::vec3d& p, const wp::vec3d& q) {
         return p[0] == q[0] && p[1] == q[1] && p[2] == q[2];
     }
-    // Whether it is certain that a triangle does not hide the ray. It is for most of those around a sample, which would
-    // go to exact arithmetic, as the sample lies in their planes.
-    inline bool misses(const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) const {
+    inline wp::vec3d way() const {
+        const wp::vec3d light(asked.light[0], asked.light[1], asked.light[2]);
         const wp::vec4d& at = sample();
-        const wp::vec3d p(at[0], at[1], at[2]);
+        return asked.light[3] != 0.0 ? Sides::between(wp::vec3d(at[0], at[1], at[2]), light) : light;
+    }
+    // The determinant of the ray's way and an edge from the sample, and by how much it may be off: its sign is the side
+    // that the ray passes the edge on.
+    struct Side {
+        double value, off;
+
+        static inline Side of(const wp::vec3d& p, const wp::vec3d& way, const wp::vec3d& a, const wp::vec3d& b) {
+            const Sides::Plane plane = Sides::Plane::through(Sides::between(p, a), Sides::between(a, b));
+            return { plane.at(way), MASK_PAD * Sides::Plane::sum(way) * plane.size };
+        }
+        // The same edge, from its end to its begin.
+        inline Side back() const { return { -value, off }; }
+        // Whether it is certain that the ray passes beside a triangle of these edges.
+        static inline bool beside(const Side& x, const Side& y, const Side& z) {
+            return (x.value > x.off || y.value > y.off || z.value > z.off)
+                   && (x.value < -x.off || y.value < -y.off || z.value < -z.off);
+        }
+    };
+    // Whether it is certain that a triangle does not hide the ray, if that does not pass beside it. It is for most of
+    // those around a sample, which would go to exact arithmetic, as the sample lies in their planes.
+    inline bool misses(const wp::vec3d& p, const wp::vec3d& way, const wp::vec3d& a, const wp::vec3d& b,
+                       const wp::vec3d& c) const {
         if (same(p, a) || same(p, b) || same(p, c))
             return true;
-        const bool bounded = asked.light[3] != 0.0;
-        wp::vec3d way(asked.light[0], asked.light[1], asked.light[2]);
-        if (bounded)
-            way = Sides::between(p, way);
-        const Sides sides(p, a, b, c);
-        const double pad = MASK_PAD * Sides::Plane::sum(way);
-        bool inside = false, outside = false;
-        for (int k = 0; k < 3; ++k) {
-            const double value = sides.edge[k].at(way);
-            inside |= value > pad * sides.edge[k].size;
-            outside |= value < -pad * sides.edge[k].size;
-        }
-        if (inside && outside)
-            return true;
         // The own plane, from the sample and from the light, and by how much either may be off.
-        const double here = sides.here, there = sides.own.at(way) + (bounded ? here : 0.0);
-        const double off = pad * sides.own.size + (bounded ? sides.reach : 0.0);
-        if ((here > sides.reach && there > off) || (here < -sides.reach && there < -off))
+        const bool bounded = asked.light[3] != 0.0;
+        const wp::vec3d to_a = Sides::between(p, a);
+        const Sides::Plane own = Sides::Plane::through(Sides::between(a, b), Sides::between(a, c));
+        const double here = -own.at(to_a), reach = MASK_PAD * own.size * Sides::Plane::sum(to_a);
+        const double there = own.at(way) + (bounded ? here : 0.0);
+        const double off = MASK_PAD * own.size * Sides::Plane::sum(way) + (bounded ? reach : 0.0);
+        if ((here > reach && there > off) || (here < -reach && there < -off))
             return true;
         // The biased start is not behind it, if the light is farther off than that, and the sample nearer.
-        const double bias = at[3], length = sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
+        const double bias = sample()[3], length = sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
         return bias > 0.0
-               && (fabs(here) + sides.reach) * (length - (bounded ? bias : 0.0))
+               && (fabs(here) + reach) * (length - (bounded ? bias : 0.0))
                       <= 0.999999999999 * bias * (fabs(there) - off);
     }
-    // Shows a triangle; true if it hides the ray.
-    inline bool visit(int triangle) {
-        const wp::vec3i& corner = asked.triangles.data[triangle];
-        const wp::vec3d &a = asked.vertices.data[corner[0]], &b = asked.vertices.data[corner[1]],
-                        &c = asked.vertices.data[corner[2]];
-        if (!wp::isfinite(a) || !wp::isfinite(b) || !wp::isfinite(c))
-            return false;
-        ++tests;
-        if (misses(a, b, c))
+    // What remains to be found out about a triangle; true if it hides the ray.
+    inline bool settle(int triangle, const wp::vec3d& p, const wp::vec3d& way, const wp::vec3d& a, const wp::vec3d& b,
+                       const wp::vec3d& c) {
+        if (misses(p, way, a, b, c))
             return false;
         ++retested;
         double value;
@@ -79,6 +85,19 @@ struct InPlace1 {
         hider = triangle;
         return true;
     }
+    // Shows a triangle; true if it hides the ray.
+    inline bool visit(int triangle) {
+        const wp::vec3i& corner = asked.triangles.data[triangle];
+        const wp::vec3d &a = asked.vertices.data[corner[0]], &b = asked.vertices.data[corner[1]],
+                        &c = asked.vertices.data[corner[2]];
+        if (!wp::isfinite(a) || !wp::isfinite(b) || !wp::isfinite(c))
+            return false;
+        ++tests;
+        const wp::vec4d& at = sample();
+        const wp::vec3d p(at[0], at[1], at[2]), to = way();
+        return !Side::beside(Side::of(p, to, a, b), Side::of(p, to, b, c), Side::of(p, to, c, a))
+               && settle(triangle, p, to, a, b, c);
+    }
     inline void everything() {
         for (int t = 0; t < asked.triangle_count; ++t)
             if (visit(t))
@@ -87,7 +106,7 @@ struct InPlace1 {
     inline int triangle_count() const { return asked.triangle_count; }
     inline const wp::vec4d& sample() const { return asked.positions.data[ray[0]]; }
     inline const wp::vec4d& light() const { return asked.light; }
-    static inline double spread() { return 0.0; }
+    static inline wp::vec3d spread() { return wp::vec3d(); }
     static inline bool shortened(double& metres) { return false; }
     inline void end() { taken = 0; }
     inline void report(int row) const {

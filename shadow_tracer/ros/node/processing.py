@@ -140,10 +140,7 @@ class Processor:
     ) -> Answer:
         scene = tracer.scene
         if settings.uses_depth:
-            vertices, triangles = depth_mesh(
-                frame.depth, job.camera, settings.depth_occluder_step, settings.depth_occluder_max_jump
-            )
-            scene.put(DEPTH_PART, vertices, triangles, job.camera.camera_to_world)
+            _put_depth(settings, scene, frame, job.camera)
             watch.lap("depth_occluder")
         traced: Frame | None = None
         numbers: dict[str, Any] = {}
@@ -203,6 +200,16 @@ def _names(settings: Settings) -> tuple[tuple[str, ...], tuple[str, ...], tuple[
         tuple(light.name for light in enabled),
         tuple(light.name for light in enabled if light.strength is not None),
     )
+
+
+def _put_depth(settings: Settings, scene: Scene, frame: WaitingFrame, camera: Camera) -> None:
+    """Let the depth image cast shadow: its triangles are made on the device, which has room for two in each cell; where
+    there is no such room, those that there are are made here."""
+    how = settings.depth_occluder_step, settings.depth_occluder_max_jump
+    try:
+        scene.put_depth(DEPTH_PART, frame.depth, camera, *how)
+    except BoundsError:
+        scene.put(DEPTH_PART, *depth_mesh(frame.depth, camera, *how), camera.camera_to_world)
 
 
 def forget_surface(scene: Scene, settings: Settings) -> None:

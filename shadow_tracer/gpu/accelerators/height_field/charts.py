@@ -243,7 +243,7 @@ class Charts:
         self._followed, self.placed = -1, ()
 
     def _chart_of(self, mesh: Mesh) -> Chart | None:
-        if mesh.grid is None or len(mesh.triangles) < 2 * _FEWEST_QUADS or max(mesh.grid) > _LONGEST:
+        if mesh.grid is None or mesh.triangle_count < 2 * _FEWEST_QUADS or max(mesh.grid) > _LONGEST:
             return None
         known = self._found.get(mesh.name)
         if known is None or known[:2] != (mesh.topology_revision, mesh.vertices_revision):
@@ -260,14 +260,14 @@ class Charts:
             chart = self._chart_of(mesh) if len(placed) < MOST_CHARTS else None
             shapes = _shapes(mesh.grid) if chart is not None and mesh.grid is not None else ()
             nodes = sum(rows * columns for rows, columns in shapes)
-            full = node + nodes > self._most_nodes or height + len(mesh.vertices) > len(self.structure.heights)
+            full = node + nodes > self._most_nodes or height + mesh.vertex_count > len(self.structure.heights)
             if chart is None or full:
                 self.others.append(mesh)
                 continue
             key = mesh.name, mesh.topology_revision, mesh.vertices_revision, mesh.pose_revision
             where = first_vertex, first_triangle, height, node
             placed.append(Placed(mesh, chart, *where, (len(placed), *key, *where), shapes))
-            height += len(mesh.vertices)
+            height += mesh.vertex_count
             node += nodes
         names = {mesh.name for mesh, _, _ in self._scene.placed()}
         self._found = {name: found for name, found in self._found.items() if name in names}

@@ -46,37 +46,36 @@ from collections.abc import Sequence
 from shadow_tracer.gpu.accelerators.height_field.charts import Charts, Structure
 from shadow_tracer.gpu.accelerators.height_field.silent import Silent
 from shadow_tracer.gpu.accelerators.height_field.sweep import Sweeps
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays
-from shadow_tracer.gpu.accelerators.union import Rest
+from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.surfaces import Surfaces
 from shadow_tracer.gpu.accelerators.walker import Walk
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.visibility.queries import IN_PLACE, InPlace, Query
+from shadow_tracer.gpu.visibility.queries import IN_PLACE
+from shadow_tracer.scene.mesh import Mesh
 
 _SIXTEEN = Walk("accelerators/height_field/down16.h", Structure, queries=(IN_PLACE,))
 _ONE = Walk("accelerators/height_field/down.h", Structure, queries=(IN_PLACE,))
 
 
-class HeightFields(Accelerator):
+class HeightFields(Surfaces):
     """The ``height_field`` pipeline."""
 
     def __init__(self, variant: str, context: Context) -> None:
         super().__init__(context)
-        device = context.samples.device
         self._charts: Charts = context.scene.made.take(Charts, lambda: Charts(context.scene))
         self._silent: Silent = context.scene.made.take(Silent, lambda: Silent(context.scene))
         self._sweeps: Sweeps = context.shared.take(Sweeps, lambda: Sweeps(context.records.bounds, context.scene))
-        self._rest = Rest(context, ("mesh_bvh", "refit"))
-        self.walk, self._loaded = _SIXTEEN if forms.wide(device) else _ONE, False
+        self.walk = _SIXTEEN if forms.wide(context.samples.device) else _ONE
 
-    def follow(self) -> None:
-        """Charts of surfaces that have changed; the others go with the meshes."""
-        with self._context.stages.stage("build"):
-            self._charts.follow()
-        self._rest.follow(self._charts.others)
-        if self._charts.placed and not self._loaded:
-            self.walk.load(IN_PLACE, self._context.samples.device)
-            self._loaded = True
+    def structure(self) -> Structure | None:
+        """All charts."""
+        return self._charts.structure if self._charts.placed else None
+
+    def make(self) -> Sequence[Mesh]:
+        """Charts of surfaces that have changed."""
+        self._charts.follow()
+        return self._charts.others
 
     def forget(self) -> None:
         """Charts, the sweep, and what the meshes go through, are to be made again."""
@@ -86,7 +85,7 @@ class HeightFields(Accelerator):
 
     def aim(self, lights: Sequence[LightFrame]) -> None:
         """Records of the meshes, and the sweep of a sun."""
-        self._rest.aim(lights)
+        super().aim(lights)
         context, charts, sweeps = self._context, self._charts, self._sweeps
         # One band does it for all, and a sweep is worth what they all ask.
         count = context.samples.count * context.samples.bands
@@ -94,29 +93,8 @@ class HeightFields(Accelerator):
             sweeps.make(charts, lights[0], count, context.records.front_face_culling)
             charts.structure.sweep, charts.structure.bounds = sweeps.sweep, sweeps.bounds
 
-    def show(self, rays: Rays, query: Query) -> None:
-        """Send the rays of the light through the meshes, and those that are left down the charts."""
-        context, samples, asked = self._context, self._context.samples, InPlace()
-        self._rest.show(rays, query)
-        if not self._charts.placed:
-            return
-        asked.light, asked.cull = rays.light.light, int(context.records.front_face_culling)
-        asked.triangle_count = context.scene.triangle_count
-        asked.positions, asked.rays, asked.states = samples.positions, samples.rays, samples.states_of(rays.first)
-        asked.vertices, asked.triangles = context.scene.vertices, context.scene.triangles
-        asked.counters = samples.counters
-        with context.stages.stage("trace"):
-            self.walk.launch(IN_PLACE, samples.count, self._charts.structure, asked, samples.device)
-
     def silent(self, light: LightFrame) -> tuple[int, int]:
         """Of the meshes, as their records say, and of the charts."""
         rest = self._rest.silent(light)
         ours = self._silent.count(self._charts, light, self._context.records.front_face_culling)
         return rest[0] + ours[0], rest[1] + ours[1]
-
-    def learn(self, counters: dict[str, int]) -> None:
-        """Nothing: counters hold what charts test as well, so they say nothing about the meshes' own tree."""
-
-    def nbytes(self) -> int:
-        """Bytes on the device, those that all shares have in common aside."""
-        return self._rest.nbytes()

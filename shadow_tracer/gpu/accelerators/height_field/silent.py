@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangles that cast nothing for a light, counted without making their records.
+"""Triangles of charts that cast nothing for a light, counted without making their records.
 
 Of terrain in the sun most quads are sure not to have any, at a glance at their heights: a triangle with the slopes
 ``(ds, dt)``, in steps from column to column and row to row, is seen edge-on, or has no area, only if ``h = s ds + t
@@ -14,42 +14,10 @@ from __future__ import annotations
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Structure
+from shadow_tracer.gpu.accelerators.silent import ROWS, SilentCounts, count_block
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.world import SceneBuffers
-
-_BLOCK = wp.constant(128)  # triangles a thread
-_ROWS = wp.constant(64)
-
-
-@native.func_native("accelerators/height_field/silent.h", calls="SilentTriangles::count")
-def count_block(
-    first: int,
-    last: int,
-    light: wp.vec4d,
-    cull: int,
-    vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array(dtype=wp.vec3i),
-    row: int,
-    counts: wp.array(dtype=wp.vec2i),
-):
-    """Add to ``counts[row]`` how many of some triangles are degenerate, and culled."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
-def count_silent(
-    first: int,
-    end: int,
-    light: wp.vec4d,
-    cull: int,
-    vertices: wp.array(dtype=wp.vec3d),
-    triangles: wp.array(dtype=wp.vec3i),
-    counts: wp.array(dtype=wp.vec2i),
-):
-    """A block of triangles per thread."""
-    begin = first + wp.tid() * _BLOCK
-    count_block(begin, wp.min(begin + _BLOCK, end), light, cull, vertices, triangles, wp.tid() % _ROWS, counts)
 
 
 @native.func_native("accelerators/height_field/silent_row.h", calls="SilentRow::count")
@@ -80,11 +48,11 @@ def count_in_sun(
     row = wp.tid()
     chart = structure.charts[number]
     if structure.beside[number] <= wp.float64(BESIDE):
-        count_row(chart, row, light, structure.heights, vertices, triangles, row % _ROWS, counts)
+        count_row(chart, row, light, structure.heights, vertices, triangles, row % ROWS, counts)
     else:
         quads = chart.columns - 1
         first = chart.first_triangle + 2 * row * quads
-        count_block(first, first + 2 * quads, light, 0, vertices, triangles, row % _ROWS, counts)
+        count_block(first, first + 2 * quads, light, 0, vertices, triangles, row % ROWS, counts)
 
 
 class Silent:
@@ -92,24 +60,20 @@ class Silent:
 
     def __init__(self, scene: SceneBuffers) -> None:
         self._scene = scene
-        self._counts = wp.zeros(int(_ROWS), dtype=wp.vec2i, device=scene.device)
+        self._sums = SilentCounts(scene)
 
     def count(self, charts: Charts, light: LightFrame, cull: bool) -> tuple[int, int]:
         """How many triangles of all charts are degenerate, and how many are culled. Waits for the device."""
-        scene = self._scene
-        ours = [scene.vertices, scene.triangles, self._counts]
-        self._counts.zero_()
+        scene, sums = self._scene, self._sums
+        sums.begin()
         for number, placed in enumerate(charts.placed):
             if placed.chart.parallel and light.light[3] == 0.0 and not cull and not scene.left_out:
-                inputs = [number, light.light, charts.structure, *ours]
+                inputs = [number, light.light, charts.structure, scene.vertices, scene.triangles, sums.counts]
                 wp.launch(count_in_sun, dim=placed.grid[0] - 1, inputs=inputs, device=scene.device)
             else:
-                first, count = placed.first_triangle, len(placed.mesh.triangles)
-                inputs = [first, first + count, light.light, int(cull), *ours]
-                wp.launch(count_silent, dim=-(-count // int(_BLOCK)), inputs=inputs, device=scene.device)
-        degenerate, culled = (int(value) for value in self._counts.numpy().sum(axis=0))
-        return degenerate, culled
+                sums.add(placed.first_triangle, len(placed.mesh.triangles), light, cull)
+        return sums.total()
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return int(self._counts.capacity)
+        return self._sums.nbytes()

@@ -1,4 +1,4 @@
-// needs: accelerators/height_field/place.h accelerators/height_field/silent.h
+// needs: accelerators/height_field/place.h accelerators/silent.h
 // arguments: DeviceChart chart
 // Triangles of terrain that the sun sees edge-on, or that have no area.
 struct SilentRow {

@@ -12,9 +12,9 @@ import numpy as np
 import probe
 import pytest
 import surfaces
-from surfaces import agree
+from surfaces import agree, around, lights_around, moved, turned
 
-from shadow_tracer import Camera, DirectionalLight, HeightField, PointLight, Scene, SphereLight, SpotLight, render_depth
+from shadow_tracer import Camera, DirectionalLight, HeightField, PointLight, Scene, SphereLight, render_depth
 from shadow_tracer.gpu.accelerators.height_field import charts
 
 pytestmark = probe.in_both_forms
@@ -25,38 +25,6 @@ def _small_surfaces_have_charts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(charts, "_FEWEST_QUADS", 1)
 
 
-def _pose(angle: float, axis: tuple[float, float, float], place: tuple[float, float, float]) -> np.ndarray:
-    x, y, z = np.array(axis) / np.linalg.norm(axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    pose = np.eye(4)
-    pose[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    pose[:3, 3] = place
-    return pose
-
-
-def _moved(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return points @ pose[:3, :3].T + pose[:3, 3]
-
-
-def _around(rng: np.random.Generator, positions: np.ndarray, number: int) -> np.ndarray:
-    """Points on a surface, near to it, and anywhere."""
-    flat = positions[~np.isnan(positions[..., 2])]
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    some = flat[rng.integers(0, len(flat), number)]
-    span = (high - low).max()
-    near = some + 0.01 * span * rng.uniform(-1, 1, (number, 3))
-    return np.concatenate([some, near, rng.uniform(low - 0.3 * span, high + 0.3 * span, (number, 3))])
-
-
-def _lights(center: np.ndarray, size: float) -> list[Any]:
-    ways = [(-1, 0.3, -0.2), (0, 0, -1), (0, 0, 1), (1, 0, -0.01), (1, 1, 0.01), (0, -1, 0), (0.3, 1, -1)]
-    lights: list[Any] = [DirectionalLight(f"sun {k}", way) for k, way in enumerate(ways)]
-    places = [(0, 0, 1), (0.2, 0.1, -1), (2, -1, 0), (0, 0, 0), (1e4, 0, 1e4)]
-    lights += [PointLight(f"lamp {k}", center + size * np.array(place)) for k, place in enumerate(places)]
-    lights.append(SpotLight("spot", center + (0, 0, size), (0.1, 0.2, -1.0), 0.5))
-    return lights
-
-
 @pytest.mark.parametrize("cull", [False, True])
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (5e5, 4e6, 100.0)])
 def test_terrain(any_device: str, offset: tuple[float, float, float], cull: bool) -> None:
@@ -64,12 +32,12 @@ def test_terrain(any_device: str, offset: tuple[float, float, float], cull: bool
     z = surfaces.terrain(rng, 41, 50)
     z[10:13, 20:30], z[30, 31], z[0, 0] = np.nan, np.nan, np.nan
     field = HeightField(z, (1.0, 1.3), origin=offset)
-    points = _around(rng, field.positions(), 500)
+    points = around(rng, field.positions(), 500)
     states, _, tracer = agree(
         any_device,
         lambda scene: scene.put_surface("ground", field),
         points,
-        _lights(np.array(offset) + (30, -20, 0), 30.0),
+        lights_around(np.array(offset) + (30, -20, 0), 30.0),
         0.01 if cull else 0.0,
         cull,
     )
@@ -77,23 +45,23 @@ def test_terrain(any_device: str, offset: tuple[float, float, float], cull: bool
 
 
 @pytest.mark.parametrize(
-    "pose", [np.eye(4), _pose(2.0, (1, 2, -0.5), (5.0, -3.0, 2.0)), _pose(1.0, (0, 1, 0), (4e5, 5e6, 0))]
+    "pose", [np.eye(4), turned(2.0, (1, 2, -0.5), (5.0, -3.0, 2.0)), turned(1.0, (0, 1, 0), (4e5, 5e6, 0))]
 )
 def test_depth_images(any_device: str, pose: np.ndarray) -> None:
     """Lights in front, behind, in the plane of the optical centre and in that."""
     rng = np.random.default_rng(2)
     positions = surfaces.depth_surface(rng, 36, 48)
     valid = rng.random((36, 48)) > 0.05
-    points = _around(rng, np.where(valid[..., None], positions, np.nan), 500)
+    points = around(rng, np.where(valid[..., None], positions, np.nan), 500)
     points[-100:, 2] = -np.abs(points[-100:, 2])
     places = [(0, 0, 0), (0.1, 0, -2), (1, 0, 0), (1, 0.5, 1), (0.1, 0, 30)]
     ways = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0.2, 0.4), (-0.2, 0.1, -1)]
-    lights: list[Any] = [PointLight(f"lamp {k}", _moved(pose, np.array(each))) for k, each in enumerate(places)]
+    lights: list[Any] = [PointLight(f"lamp {k}", moved(pose, np.array(each))) for k, each in enumerate(places)]
     lights += [DirectionalLight(f"sun {k}", pose[:3, :3] @ np.array(each)) for k, each in enumerate(ways)]
     states, _, tracer = agree(
         any_device,
         lambda scene: scene.put_surface("image", positions, valid, pose),
-        _moved(pose, points),
+        moved(pose, points),
         lights,
     )
     assert probe.charts(tracer)[0] == ["image"] and 0.1 < (states == 1).mean() < 0.9
@@ -105,10 +73,10 @@ def test_depth_images(any_device: str, pose: np.ndarray) -> None:
 def test_sizes(any_device: str, shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(3)
     field = HeightField(surfaces.terrain(rng, *shape), 1.0)
-    points = _around(rng, field.positions(), 200)
+    points = around(rng, field.positions(), 200)
     center = points[:200].mean(axis=0)
     _, _, tracer = agree(
-        any_device, lambda scene: scene.put_surface("ground", field), points, _lights(center, 10.0)[:9]
+        any_device, lambda scene: scene.put_surface("ground", field), points, lights_around(center, 10.0)[:9]
     )
     assert len(probe.charts(tracer)[0]) == int(min(shape) > 1)
 
@@ -124,8 +92,8 @@ def test_quads_with_some_corners(any_device: str, kind: str) -> None:
     positions = surfaces.depth_surface(rng, 12, 12)
     if kind == "terrain":
         positions = HeightField(surfaces.terrain(rng, 12, 12, 0.2), 1.0).positions()
-    points = _around(rng, np.where(valid[..., None], positions, np.nan), 700)
-    lights = _lights(positions.reshape(-1, 3).mean(axis=0), 5.0)
+    points = around(rng, np.where(valid[..., None], positions, np.nan), 700)
+    lights = lights_around(positions.reshape(-1, 3).mean(axis=0), 5.0)
     states, _, tracer = agree(any_device, lambda scene: scene.put_surface("atlas", positions, valid), points, lights)
     assert len(probe.charts(tracer)[0]) == 1 and (states == 1).any()
 
@@ -235,8 +203,8 @@ def test_samples_far_away(any_device: str) -> None:
 def test_a_chart_that_has_lost_its_places_shows_everything(any_device: str) -> None:
     rng = np.random.default_rng(10)
     field = HeightField(surfaces.terrain(rng, 20, 20), 1.0)
-    points = _around(rng, field.positions(), 300)
-    lights = _lights(np.array([10.0, -10.0, 0.0]), 10.0)
+    points = around(rng, field.positions(), 300)
+    lights = lights_around(np.array([10.0, -10.0, 0.0]), 10.0)
     states, counters, tracer = agree(any_device, lambda scene: scene.put_surface("ground", field), points, lights)
     probe.lose_places(tracer)
     traced = probe.trace_points(tracer, points, lights)
@@ -256,8 +224,8 @@ def test_meshes_and_folded_surfaces_beside_terrain(any_device: str, queue: int) 
         scene.put_surface("ground", ground)
         scene.put_surface("cloth", cloth)
 
-    points = np.concatenate([_around(rng, ground.positions(), 400), rocks.reshape(-1, 3)])
-    lights = _lights(np.array([15.0, -15.0, 1.0]), 8.0)
+    points = np.concatenate([around(rng, ground.positions(), 400), rocks.reshape(-1, 3)])
+    lights = lights_around(np.array([15.0, -15.0, 1.0]), 8.0)
     for cull in (False, True):
         _, _, tracer = agree(any_device, setup, points, lights, 0.0, cull, queue_capacity=queue)
     assert probe.charts(tracer)[0] == ["ground"]
@@ -272,10 +240,10 @@ def test_many_surfaces_and_rooms_that_are_full(any_device: str, monkeypatch: pyt
             field = HeightField(
                 surfaces.terrain(np.random.default_rng(k), 6, 6), 1.0, (7.0 * (k % 3), -7.0 * (k // 3), 0.0)
             )
-            scene.put_surface(f"tile {k}", field, pose=_pose(0.1 * k, (0, 0, 1), (0, 0, 0)))
+            scene.put_surface(f"tile {k}", field, pose=turned(0.1 * k, (0, 0, 1), (0, 0, 0)))
 
     points = rng.uniform((-3, -25, -3), (25, 3, 3), (600, 3))
-    _, _, tracer = agree(any_device, setup, points, _lights(np.array([9.0, -9.0, 1.0]), 8.0))
+    _, _, tracer = agree(any_device, setup, points, lights_around(np.array([9.0, -9.0, 1.0]), 8.0))
     assert len(probe.charts(tracer)[0]) == 5
 
 
@@ -295,7 +263,7 @@ def test_sequences_of_unlike_frames(any_device: str) -> None:
             surface = surfaces.depth_surface(rng, rows, columns) * 3.0
         elif name == "cloth":
             surface = rng.normal(size=(rows, columns, 3)) * 5.0
-        pose = _pose(rng.uniform(0, 3), (0, 0, 1), tuple(rng.uniform(-3, 3, 3)))
+        pose = turned(rng.uniform(0, 3), (0, 0, 1), tuple(rng.uniform(-3, 3, 3)))
         soup, light = rng.normal(size=(9, 3)) * 4.0, rng.uniform(-15, 15, 3)
         for scene in (ours.scene, theirs.scene):
             if what == 0:
@@ -348,9 +316,9 @@ def test_recorded_depth_images_as_their_own_occluders(any_device: str, sequence:
     valid = (z > 0) & (z < 60)
     down, across = np.mgrid[: depth.shape[0] : 8, : depth.shape[1] : 8]
     positions = np.stack([(across - k[0, 2]) / k[0, 0] * z, (down - k[1, 2]) / k[1, 1] * z, z], axis=-1)
-    points = _moved(pose, positions[valid][::3])
+    points = moved(pose, positions[valid][::3])
     lights = [
-        PointLight(f"lamp {n}", _moved(pose, np.array(each)))
+        PointLight(f"lamp {n}", moved(pose, np.array(each)))
         for n, each in enumerate([(0, 0, 0), (0.4, -0.3, 0), (1, 0, 1.5), (0, 0, 9)])
     ]
     states, _, tracer = agree(

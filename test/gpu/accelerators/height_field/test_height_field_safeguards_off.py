@@ -61,7 +61,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "meshes aside are not looked at": (
         _FIELD,
         "beside_terrain",
-        [(_ROOM + "height_field.py", "self._rest.follow(self._charts.others)", "self._rest.follow([])")],
+        [("accelerators/surfaces.py", "self._rest.follow(others)", "self._rest.follow([])")],
     ),
     "pairs of meshes named as those of the scene": (
         _FIELD,
