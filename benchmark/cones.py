@@ -3,6 +3,7 @@
 
     python benchmark/cones.py --cones 1000000       # random cones in real scenes against 64 rays each
     python benchmark/cones.py --time                # cones from a view's pixels beside 64 rays of Embree's
+    python benchmark/cones.py --kd-tree             # random cones through bvh/sah and kd_tree
 
 A FREE cone is wrong if one of 64 rays is hidden, or if a vertex of the scene, or a point of an edge, is inside of it; a
 BLOCKED one if one of 64 rays reaches, or one of those that pass a 1e-9th beside such vertices and points. Rays are
@@ -46,10 +47,11 @@ def ends_of_rays(apex: Floats, ends: Floats, radii: Floats, count: int = _RAYS) 
 class _Scene:
     """A view's scene, and how wrong cones in it are."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: View, pipeline: str = "bvh") -> None:
         self.vertices, self.triangles = view.positions[0], view.triangles
-        bounds = Bounds(max_triangles=len(view.triangles), max_rays=_RAYS * _AT_ONCE, max_lights=1, grid_entries=1)
-        self.tracer = ShadowTracer("bvh", device="cpu", bounds=bounds, threads=1)
+        count = len(view.triangles)
+        bounds = Bounds(max_triangles=count, max_rays=_RAYS * _AT_ONCE, max_lights=1, grid_entries=8 * count)
+        self.tracer = ShadowTracer(pipeline, device="cpu", bounds=bounds, threads=1)
         self.tracer.scene.put("mesh", self.vertices, self.triangles)
         self.low, self.high = self.vertices.min(axis=0), self.vertices.max(axis=0)
 
@@ -125,6 +127,38 @@ def _least(call: Any, turns: int) -> tuple[float, Any]:
     return float(np.median(spent)), found
 
 
+def through_both(cones: int, seed: int, turns: int) -> list[dict[str, Any]]:
+    """Random cones of half angles from 1e-4 to 0.2 rad, and lists of 16 of some, through the tree of ``bvh/sah`` and
+    the k-d tree; raises SystemExit if an answer differs."""
+    rows, rng = [], np.random.default_rng(seed)
+    for view in views(64, list(_SCENES)):
+        low, high = view.positions[0].min(axis=0), view.positions[0].max(axis=0)
+        apices, ends = rng.uniform(low, high, (2, cones // len(_SCENES), 3))
+        angles, few = 10.0 ** rng.uniform(-4.0, -0.7, len(apices)), slice(0, len(apices) // 16)
+        found, row = [], {"scene": view.name, "cones": len(apices)}
+        for pipeline in ("bvh", "kd_tree"):
+            tracer = _Scene(view, pipeline).tracer
+
+            def outcomes(tracer: Any = tracer, asked: Any = (apices, ends), angles: Any = angles) -> Any:
+                return tracer.cones(*asked, half_angle=angles)
+
+            def lists(tracer: Any = tracer, asked: Any = (apices, ends - apices, angles), few: Any = few) -> Any:
+                return tracer.cone_hits(*(each[few] for each in asked), 16)
+
+            outcomes(asked=(apices[:1], ends[:1]), angles=angles[:1])
+            lists(few=slice(0, 1))
+            for name, call, count in (("outcome", outcomes, len(apices)), ("list", lists, few.stop)):
+                seconds, answers = _least(call, turns)
+                row[f"us, {name}, {pipeline}"] = round(1e6 * seconds / count, 1)
+                found.append(answers)
+        if not all(
+            np.array_equal(one, two) for one, two in ((found[0], found[2]), *zip(found[1], found[3], strict=True))
+        ):
+            raise SystemExit(f"{view.name}: answers differ")
+        rows.append(row)
+    return rows
+
+
 def measure(size: int, shares: tuple[float, ...], turns: int) -> list[dict[str, Any]]:
     """Cones from every fourth pixel's place, both ways, to a ball of so many parts of the view's diagonal around the
     light, and 64 rays of Embree's into each."""
@@ -177,15 +211,22 @@ def main() -> None:
     parser.add_argument("--cones", type=int, default=100_000, help="how many are checked")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--time", action="store_true", help="measure instead")
+    parser.add_argument("--kd-tree", action="store_true", help="compare with the k-d tree instead")
     parser.add_argument("--size", type=int, default=256, help="of the view's image")
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--json", help="also write the table there")
     options = parser.parse_args()
     title = "cones beside 64 rays" if options.time else "cones against 64 rays"
+    title = "cones through two trees" if options.kd_tree else title
     if options.time and "Embree" in missing():
         raise SystemExit("needs embreex: pip install embreex")
     header(title)
-    rows = measure(options.size, (0.01, 0.05), options.turns) if options.time else check(options.cones, options.seed)
+    if options.time:
+        rows = measure(options.size, (0.01, 0.05), options.turns)
+    elif options.kd_tree:
+        rows = through_both(options.cones, options.seed, options.turns)
+    else:
+        rows = check(options.cones, options.seed)
     table(rows)
     write_json(title, rows, options.json)
 

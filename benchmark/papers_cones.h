@@ -1,4 +1,4 @@
-// needs: accelerators/bvh/cone_hits.h
+// needs: accelerators/cone_hits.h
 // arguments: ConeScene scene, ConesAsked asked, Counted counted
 // Whole traversals, as the paper measures them: nothing ends them before the cone does, and no triangle is tested.
 struct CountedCones {

@@ -14,7 +14,7 @@ import pytest
 import warp as wp
 
 from shadow_tracer import Bounds, DirectionalLight, Outcome, PointLight, ShadowTracer, SphereLight, SunDisc
-from shadow_tracer.gpu.accelerators.bvh import cones as device_cones
+from shadow_tracer.gpu.accelerators import cones as device_cones
 from shadow_tracer.gpu.accelerators.bvh.bvh import Bvh
 from shadow_tracer.gpu.accelerators.kd_tree.kd_tree import KdTree
 

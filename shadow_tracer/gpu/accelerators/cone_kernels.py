@@ -2,8 +2,8 @@
 """Cones through structures over space: what is asked, and the kernels that ask it.
 
 A structure has a ``box`` (``segment.py``), and a header whose struct ``ConeWalk`` finds the triangles that a cone may
-meet, one after the other. What is certain of a cone and its triangles stands in ``bvh/cone_outcome.h`` and
-``bvh/cone_hits.h``, once for all structures: what it says does not depend on which triangles come besides, in what
+meet, one after the other. What is certain of a cone and its triangles stands in ``cone_outcome.h`` and
+``cone_hits.h``, once for all structures: what it says does not depend on which triangles come besides, in what
 order, or how often.
 """
 
@@ -90,7 +90,7 @@ class ConeKernels:
     def __init__(self, walk: str, scene: Any) -> None:
         self.scene = scene
         self.modules = [f"{scene.cls.__module__}.cones"]
-        outcomes, hits = "accelerators/bvh/cone_outcome.h", "accelerators/bvh/cone_hits.h"
+        outcomes, hits = "accelerators/cone_outcome.h", "accelerators/cone_hits.h"
         self.find_outcomes, one = _kernel("outcomes", outcomes, "ConeOutcome::of", walk, scene)
         self.find_hits, two = _kernel("hits", hits, "ConeHits::of", walk, scene)
         self.functions = [one, two]

@@ -107,14 +107,14 @@ def place_of(growth: Growth, level: int, r: int) -> int:
 
 
 @wp.func
-def make_children(growth: Growth, number: int, more: int) -> int:
+def make_children(growth: Growth, number: int, more: int, room: int) -> int:
     """Nodes for the children of a cell, leaves for now, that together have so many references more than it; returns the
-    first one's number, -1 if there is no room."""
+    first one's number, -1 if there is no room, or would be more than ``room`` references."""
     first = wp.atomic_add(growth.made, 0, number)
     if first + number > growth.node_room:
         return -1
     before = wp.atomic_add(growth.reserved, 0, more)
-    if before + more > growth.room:
+    if before + more > room:
         wp.atomic_sub(growth.reserved, 0, more)
         return -1
     for k in range(number):

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from shadow_tracer.gpu.accelerators.bvh.cones import Cones as Cones
+    from shadow_tracer.gpu.accelerators.cones import Cones as Cones
     from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
     from shadow_tracer.gpu.occluders.world import SceneBuffers
 
@@ -174,7 +174,7 @@ def cones(scene: SceneBuffers, names: tuple[str, str], threads: int) -> Cones:
     many threads."""
     kind, variant = _class(*names), names[1]
     build = scene.made.take((kind, variant), lambda: kind(variant, scene))
-    found: Cones = import_module("shadow_tracer.gpu.accelerators.bvh.cones").Cones(scene, build, threads)
+    found: Cones = import_module("shadow_tracer.gpu.accelerators.cones").Cones(scene, build, threads)
     return found
 
 

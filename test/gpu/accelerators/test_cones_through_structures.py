@@ -190,6 +190,40 @@ def test_unlike_scenes(any_device: str) -> None:
         np.testing.assert_array_equal(tracer.occluded(asked[0], light), every.occluded(asked[0], light))
 
 
+@_trees
+@pytest.mark.parametrize("far", [0.0, 1e7, 1e12])
+def test_far_from_the_origin_with_gaps_and_what_casts_nothing(any_device: str, pipeline: str, far: float) -> None:
+    """Corners that are no numbers, no area, a light that ignores a mesh; then one triangle, then none."""
+    rng, shift = np.random.default_rng(568), far * np.array([1.0, -0.3, 0.7])
+    tracer, every = tracer_of(any_device, pipeline), tracer_of(any_device, "brute_force")
+    vertices, triangles = _MESHES["few"]
+    broken = 1.2 * vertices[:, ::-1] + shift
+    broken[3], broken[9:12] = np.nan, broken[9]
+    apices, ends, angles = _cones(rng, 80)
+    asked = apices + shift, ends + shift, angles
+    light = PointLight("lamp", shift + (0.2, 0.1, 0.3), ignore=["broken"])
+    for step in range(4):
+        for each in (tracer, every):
+            if step == 0:
+                each.scene.put("whole", vertices + shift, triangles)
+                each.scene.put("broken", vertices + shift, triangles)
+                each.scene.deform("broken", broken, nonfinite="skip")
+            elif step == 1:
+                each.scene.remove("whole")
+                each.scene.put("whole", vertices + shift, triangles[:3])
+            elif step == 2:
+                each.scene.clear()
+                each.scene.put("one", vertices[:3] + shift, triangles[:1])
+            else:
+                each.scene.clear()
+        found, expected = (_answers(each, asked, 5) for each in (tracer, every))
+        found.append(tracer.cones(asked[0], light, 0.2))
+        expected.append(every.cones(asked[0], light, 0.2))
+        for mine, theirs in zip(found, expected, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        assert (expected[0] != _FREE).any() == (step < 3)
+
+
 @pytest.mark.parametrize("fewest", [0, 3])
 def test_cells_that_are_not_split_for_want_of_room(
     any_device: str, monkeypatch: pytest.MonkeyPatch, fewest: int

@@ -41,7 +41,7 @@ _MUTANTS: dict[str, tuple[str, str, str, str]] = {
         "Arithmetic::mul(to, unit) >= after",
         "Arithmetic::mul(from, unit) >= after",
     ),
-    "triangles twice": ("pieces", "bvh/cone_hits.h", "if (numbers[k - 1] == number)", "if (false)"),
+    "triangles twice": ("pieces", "cone_hits.h", "if (numbers[k - 1] == number)", "if (false)"),
     "a mailbox of another triangle": ("answers", "mailboxes.h", "if (box == triangle)", "if (box >= 0)"),
 }
 

@@ -12,6 +12,7 @@ import numpy as np
 import probe
 import pytest
 import views
+from trees import Tree, hidden, tracer_of
 
 from benchmark import procedural
 from shadow_tracer import PointLight, SpotLight, State
@@ -191,3 +192,17 @@ def test_structures_that_adapt_show_a_small_part_of_the_pot(tracers: Any, any_de
         tests.append(frame.counters["leaf_tests"])
         tracer.scene.clear()
     assert all(0 < 20 * few < tests[0] for few in tests[1:]), tests
+
+
+@pytest.mark.parametrize("pipeline", ["kd_tree", "octree", "bsp"])
+@probe.in_both_forms
+def test_little_room_leaves_the_pot_in_many_leaves(any_device: str, pipeline: str) -> None:
+    """Trees are split level by level: what the stadium takes of the room for references must not leave the pot, which
+    comes last, in one leaf."""
+    made = procedural.stadium(3_000)
+    count = len(made.triangles)
+    tracer = tracer_of(any_device, pipeline, max_triangles=count, grid_entries=4 * count)
+    hidden(tracer, (made.positions[0], made.triangles), np.array([[0.0, 0.0, 1.0]]), made.lights["inside"])
+    tree = Tree(tracer)
+    sizes = [len(tree.triangles(leaf)) for leaf in tree.leaves]
+    assert max(sizes) < 0.15 * count and sum(sizes) <= 4 * count

@@ -192,7 +192,7 @@ def split_cells(level: int, tree: Structure, growth: Growth, here: Level, there:
     if not (pairs(low, high) <= _GAIN * pairs(cell.count, 0)):
         here.sides[place, 0] = half(growth, level, cell.node, cell.count, there)  # as it is: another may be picked
         return
-    first = make_children(growth, 2, low + high - cell.count)
+    first = make_children(growth, 2, low + high - cell.count, growth.room)
     if first < 0:
         return
     cell.kind = kind

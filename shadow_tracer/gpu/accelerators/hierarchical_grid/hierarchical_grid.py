@@ -44,6 +44,12 @@ will leave through, and within 12.2 u of one at the border: within 12.2 u. In a 
 
 Cells within cells are 2^-16 wide at least, unless an axis has only one: narrower ones would tell triangles apart no
 better, as each spans 64 u of padding.
+
+A fourth depth was tried and left out. Of nodes and triangles per ray (8 members for each triangle, a light above) it
+made no other in Sponza, the conference room and the bunny, 29.4 and 34.2 of 29.4 and 34.4 for the pot in a stadium of
+71,000 triangles, whose cells are as narrow as they get, and 48.0 and 34.8 of 45.6 and 57.4 at 305,000: a fifth less in
+the one scene that is made for it, for another place of each ray on CUDA and another loop in kernels that build. An
+octree, which has sixteen levels, needs 40 triangles there.
 """
 
 from __future__ import annotations

@@ -32,11 +32,11 @@ the point, each for itself: nothing adds up with depth.
 *Cones* (Wiche and Kuri 2020: "Performance Evaluation of Acceleration Structures for Cone-Tracing Traversal") go through
 by the distances of planes, nearer child first (``cone_walk.h``). Of the part of a cone that is in a node, from one
 distance along the axis to another, the lower child gets where t (v - w) <= d and the upper one where t (v + w) >= d,
-with d from the apex to the plane and w >= 0 as in ``bvh/cones.py``: half-lines of t, whichever way the mantle leans, so
+with d from the apex to the plane and w >= 0 as in ``cones.py``: half-lines of t, whichever way the mantle leans, so
 that cones around an axis are no case for themselves. Triangles in several leaves are shown again where mailboxes have
 forgotten them; lists keep them once. In float64, every difference, reciprocal and product is rounded by itself.
 
-What matters of a triangle is its own box, padded by half as much as the stored one (``bvh/cone_hits.h``): there are 15
+What matters of a triangle is its own box, padded by half as much as the stored one (``cone_hits.h``): there are 15
 u for roundings of its six half-lines, which are less than 1 u. Let t be any distance at which they hold, as computed.
 The whole scene's hold, too: it is a larger box, and all roundings are monotone. So do those of one child that has the
 triangle wherever the node's hold. If one child alone has it, the stored box ends at the plane or before it, so the

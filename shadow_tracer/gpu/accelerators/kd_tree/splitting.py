@@ -195,7 +195,7 @@ def split_cells(level: int, growth: Growth, here: Level, there: Level):
     high = here.sides[place, 1]
     first = int(-1)
     if cell.axis != 3 and (low < cell.count or high < cell.count):
-        first = make_children(growth, 2, low + high - cell.count)
+        first = make_children(growth, 2, low + high - cell.count, growth.room)
     if first < 0:
         here.sides[place, 0] = -1 - cell.node
         cell.axis = 3

@@ -5,8 +5,10 @@ algorithm for octree traversal"), with mailboxes.
 
 The root is a cube around the scene. A cell of more than eight triangles is split into eight equal ones, down to cells
 of 2^-15 of the scene; a triangle is a member of every child that its padded box reaches into. Where nodes, cells of a
-level or references would be more than there is room for, leaves are larger, and never wrong. The tree is built again
-whenever the scene changes, all cells of a level at once (``references.py``).
+level or references would be more than there is room for, leaves are larger, and never wrong. What more than doubles the
+references of a cell may take two thirds of the room: otherwise a crowd in one place, a teapot in a stadium, may find
+none left when cells have become as small as it is, and stay in one leaf. The tree is built again whenever the scene
+changes, all cells of a level at once (``references.py``).
 
 Why no triangle can be missed. In units of the scene's extent E, u = 2^-24. Let h = 129/128 be half the size of the
 root, which is more than the padded scene's. A plane through the middle of a cell at level k is an odd multiple of h

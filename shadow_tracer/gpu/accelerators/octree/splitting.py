@@ -123,7 +123,8 @@ def split_cells(level: int, growth: Growth, here: Level, there: Level):
         fewest = wp.min(fewest, here.octants[place, k])
     first = int(-1)
     if fewest < cell.count:  # or it is of no use, as each child has them all
-        first = make_children(growth, 8, more)
+        # Small cells whose triangles are in many children leave room to large ones that are far from being done.
+        first = make_children(growth, 8, more, wp.where(more > cell.count, 2 * (growth.room / 3), growth.room))
     if first < 0:
         here.octants[place, 0] = -1 - cell.node
         cell.node = -1

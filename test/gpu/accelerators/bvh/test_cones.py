@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.bvh.cones import ConeScene
+from shadow_tracer.gpu.accelerators.bvh.bvh import ConeScene
 from shadow_tracer.gpu.accelerators.segment import scene_box
 from shadow_tracer.gpu.device import native
 

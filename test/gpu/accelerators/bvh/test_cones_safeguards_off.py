@@ -9,7 +9,7 @@ import pytest
 from mutants import Change, failing_tests
 
 _OUTCOMES, _HITS, _BOXES = "../test_tracer_cones.py", "../test_tracer_cone_hits.py", "accelerators/bvh/test_cones.py"
-_OUTCOME, _WALK = "accelerators/bvh/cone_outcome.h", "accelerators/bvh/cone_walk.h"
+_OUTCOME, _WALK = "accelerators/cone_outcome.h", "accelerators/bvh/cone_walk.h"
 _BLOCK, _SIXTEEN = "accelerators/bvh/test_cone_block.py", "accelerators/bvh/cone_block.h"
 _MUTANTS: dict[str, tuple[str, str, Change]] = {
     "neighbours that came apart": (
@@ -56,7 +56,7 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
     "ties in any order": (
         _HITS,
         "order",
-        ("accelerators/bvh/cone_hits.h", "(t == other_t && number < other)", "t == other_t"),
+        ("accelerators/cone_hits.h", "(t == other_t && number < other)", "t == other_t"),
     ),
     "lists cut by the box before": (
         _HITS,

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cones through the tree of ``bvh/sah``: what is certain of each, and the triangles nearest to its apex.
+"""Cones through structures over space: what is certain of each, and the triangles nearest to its apex.
 
 After Wiche and Kuri 2020: "Performance Evaluation of Acceleration Structures for Cone-Tracing Traversal". One thread
-takes a cone, through the tree with two children per node, nearer child first; on the CPU outcomes go through the tree
-with sixteen, and test the sixteen triangles of a block at a time.
+takes a cone, nearer child first: through the tree of ``bvh/sah`` with two children per node, on the CPU for outcomes
+through the one with sixteen, and the sixteen triangles of a block at a time; or through a k-d tree, by the distances of
+planes (``kd_tree/kd_tree.py``).
 
-*Boxes.* A box is met if, at some distance t along the axis up to the cone's length, it meets the box of the disc there:
-o + t (v + w) >= low and o + t (v - w) <= high on each axis, where w = tan(half angle) sqrt(1 - v^2). These are six
-half-lines of t, all linear: no cases, and flat boxes and an apex inside need no care. All is in units of the scene's
-extent E. Boxes are padded by 2^-19 (``segment.py``) and rounded outwards, so 27 * 2^-24 are left for the walk. It works
-in float64, u = 2^-53: the origin is off by 3 u |o|, v and w by 8 u (1 + tan) t, t by 3 u relative, which moves a point
-by 3 u (|o| + 2); with |o| <= 2^20 = ``FAR_AWAY`` and tan <= 15 that is below 2^-24 together. A cone from farther away
-is shown every triangle. Slopes below 1e-20 are taken as that, which moves points by less than 1e-13.
+*Boxes* (``half_lines.h``). A box is met if, at some distance t along the axis up to the cone's length, it meets the box
+of the disc there: o + t (v + w) >= low and o + t (v - w) <= high on each axis, where w = tan(half angle) sqrt(1 - v^2).
+These are six half-lines of t, all linear: no cases, and flat boxes and an apex inside need no care. All is in units of
+the scene's extent E. Boxes are padded by 2^-19 (``segment.py``) and rounded outwards, so 27 * 2^-24 are left for the
+walk. It works in float64, u = 2^-53: the origin is off by 3 u |o|, v and w by 8 u (1 + tan) t, t by 3 u relative, which
+moves a point by 3 u (|o| + 2); with |o| <= 2^20 = ``FAR_AWAY`` and tan <= 15 that is below 2^-24 together. A cone from
+farther away is shown every triangle. Slopes below 1e-20 are taken as that, which moves points by less than 1e-13.
 
 *Sixteen at a time* (``cone_block.h``). That is in float32, u = 2^-24 from here on, for apices with |o| <= 2 along each
 axis. The origin is off by 2 u, the difference to a bound by 3 u, and t by 4 u relative, which moves a point by 12 u:
@@ -57,7 +58,6 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.bvh.bvh import ConeScene as ConeScene
 from shadow_tracer.gpu.accelerators.cone_kernels import FREE, NO_BUDGET, OF_A_HINT, ConesAsked
 from shadow_tracer.gpu.accelerators.walker import Build
 from shadow_tracer.gpu.device import forms
