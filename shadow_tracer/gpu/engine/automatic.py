@@ -18,9 +18,9 @@ The others are no candidates. Measured on one core of the CPU in 17 scenes with 
 64 to 512 x 512 rays (docs/papers.md, "Which can ever win"), in parts of the best of these three: where the scene
 changes, what divides space (grids, ``octree``, ``kd_tree``, ``bsp``) takes 2 to 300 times as long, as it is built
 again; at rest 1.3 to 10 times, ``uniform_grid`` up to 470 in a stadium. ``cone_hierarchy`` takes 1.1 to 7 times as
-long, ``bvh`` at least 0.84, ``ray_classification`` thousands of times. ``light_buffer`` takes 0.46 to 3.6 times as long
-with one light where all but the depth image rests, and 1.6 to 30 times elsewhere: it could win, but trying it, and any
-change, makes a frame wait for 0.6 to 2.8 us for each triangle: 70 ms where the others take 7.
+long, ``bvh`` at least 0.84, ``ray_classification`` up to a thousand times. ``light_buffer`` takes 0.46 to 3.6 times as
+long with one light where all but the depth image rests, and 1.6 to 30 times elsewhere: it could win, but trying it, and
+any change, makes a frame wait for 0.6 to 2.8 us for each triangle: 70 ms where the others take 7.
 
 No Warp here.
 """
