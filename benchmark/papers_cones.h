@@ -35,8 +35,8 @@ struct CountedCones {
             bool inside;
             if (within.slope.number > 0.0) {
                 const Cone::Corner a = within.corner(p), b = within.corner(q), c = within.corner(r);
-                inside = !within.misses(a, b, c) && !Cone::flat(p, q, r)
-                         && ConeEntry::of(within, a, b, c).number >= 0.0;
+                inside =
+                    !within.misses(a, b, c) && !Cone::flat(p, q, r) && ConeEntry::of(within, a, b, c).number >= 0.0;
             } else {
                 inside = Decision::of(apex, asked.ends.data[number], p, q, r) & 1;
             }

@@ -27,7 +27,7 @@ from shadow_tracer.gpu.accelerators.walker import Walk
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.visibility.queries import Query
 
-_HERE = Path(__file__).parent
+_HERE = Path(__file__).resolve().parent  # an absolute path is a header's name as well
 _CHECKED = 12  # rays or cones of a kind of which all triangles are tested
 
 
