@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a lamp's ball reaches the floor, with guarantees, and a radio link past a mast.
+"""What of a lamp's ball reaches the floor, with guarantees, a radio link past a mast, and where to put a camera.
 
     python benchmark/pictures_cones.py
 
 draws ``docs/images/cones.png``. Left: each pixel of the floor asks about the cone from there to the ball: white where
-all of it certainly reaches (lit), black where nothing does (umbra), grey where neither is certain (penumbra). Right:
+all of it certainly reaches (lit), black where nothing does (umbra), grey where neither is certain (penumbra). Middle:
 from a mast at the left, the first Fresnel zone of 24 GHz to each place 60 cm above the floor, in two cones that meet in
 the middle: white where both are free, red where the straight line is but not the zone, dark where not even the line is.
+Right: of three parts how many a camera 1.4 m above the floor certainly sees as a whole, from none (dark) to all
+(white).
 """
 
 from __future__ import annotations
@@ -17,13 +19,15 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw
 
-from shadow_tracer import Bounds, Outcome, ShadowTracer
+from shadow_tracer import Bounds, Outcome, PointLight, ShadowTracer
 
 _OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "cones.png"
-_SIZE = 400
+_SIZE = 360
 _LAMP, _RADIUS = np.array([0.3, 0.2, 3.0]), 0.25
 _MAST, _WAVELENGTH = np.array([-3.7, 0.0, 0.6]), 0.0125
 _COLOURS = {Outcome.FREE: (250, 247, 235), Outcome.PARTLY: (150, 150, 165), Outcome.BLOCKED: (25, 25, 40)}
+_PARTS, _SIZE_OF_PART, _UP = [(-0.3, -0.7, 0.3), (-2.9, 0.3, 0.3), (2.7, 0.5, 0.3)], 0.25, 1.4
+_SEEN = ((45, 50, 70), (115, 120, 150), (180, 185, 200), (250, 247, 235))
 _FREE, _NARROW, _HIDDEN = (250, 247, 235), (205, 85, 65), (45, 50, 70)
 
 
@@ -90,14 +94,30 @@ def _link(tracer: ShadowTracer) -> npt.NDArray[np.uint8]:
     return picture.astype(np.uint8)
 
 
+def _camera(tracer: ShadowTracer) -> npt.NDArray[np.uint8]:
+    places, seen = _floor() + [0.0, 0.0, _UP], np.zeros((_SIZE, _SIZE), int)
+    for number, place in enumerate(_PARTS):
+        tracer.scene.put(f"part {number}", *_ball(place, _SIZE_OF_PART))
+    for number, place in enumerate(_PARTS):
+        part = PointLight("middle", place, ignore=[f"part {number}"])  # it does not hide itself
+        far = np.linalg.norm(places - place, axis=-1)
+        seen += tracer.cones(places, part, half_angle=np.arcsin(_SIZE_OF_PART / far)) == Outcome.FREE
+    picture = np.array(_SEEN, np.uint8)[seen]
+    for x, y, _ in _PARTS:
+        row, column = round((4.0 - y) / 8.0 * _SIZE), round((x + 4.0) / 8.0 * _SIZE)
+        picture[row - 3 : row + 4, column - 3 : column + 4] = (205, 85, 65)
+    return picture
+
+
 def main() -> None:
     tracer = _tracer()
-    image = Image.new("RGB", (2 * _SIZE + 12, _SIZE + 22), (255, 255, 255))
+    image = Image.new("RGB", (3 * _SIZE + 24, _SIZE + 22), (255, 255, 255))
     draw = ImageDraw.Draw(image)
     for number, (text, pixels) in enumerate(
         [
             ("lamp of 25 cm: lit, not certain, umbra", _lamp(tracer)),
             ("link from the left: free, line only, hidden", _link(tracer)),
+            ("camera: sees all, two, one, none of the parts", _camera(tracer)),
         ]
     ):
         image.paste(Image.fromarray(pixels), (number * (_SIZE + 12), 22))

@@ -101,43 +101,44 @@ struct ConeOutcome {
             return true;
         return cone.misses(cone.corner(p), cone.corner(q), cone.corner(r)) || Cone::flat(p, q, r);
     }
-    // hint: what hides all, if it does.
-    inline int whole(ConeWalk& walk, int budget, int& hint) const {
-        bool met = false;
+    // hint: what may hide all, and is looked at first, or -1; then what does.
+    inline int whole(ConeWalk& walk, int& hint) const {
+        bool met = false, guessed = hint >= 0;
+        int triangle = hint;
+        hint = -1;
         if (cone.slope.number == 0.0)
             walk.narrow();
-        for (int triangle = walk.next(); triangle >= 0; triangle = walk.next()) {
-            if (walk.spent > budget)
+        if (!guessed)
+            triangle = walk.next();
+        for (; triangle >= 0; triangle = walk.next(), guessed = false) {
+            if (walk.spent > walk.budget)
                 return CONE_PARTLY;
-            const bool unknown = !walk.narrowed && !walk.together; // whether it is near the cone at all
+            const bool unknown = !guessed && !walk.narrowed && !walk.together; // whether it is near the cone at all
             if (unknown && misses(triangle, false))
                 continue;
-            if (walk.through_it && hidden_by(triangle, walk.covers_it)) {
+            // One place for this: what it takes is much.
+            if ((guessed || walk.through_it) && hidden_by(triangle, guessed || walk.covers_it)) {
                 hint = triangle;
                 return CONE_BLOCKED;
             }
-            if (!walk.narrowed && (unknown || !misses(triangle, true))) {
+            if (!guessed && !walk.narrowed && (unknown || !misses(triangle, true))) {
                 met = true;
                 walk.narrow(); // what hides all is on the axis
             }
         }
-        return walk.spent > budget ? CONE_PARTLY : met ? CONE_PARTLY : CONE_FREE;
+        return walk.spent > walk.budget ? CONE_PARTLY : met ? CONE_PARTLY : CONE_FREE;
     }
     static inline void of(int number, const ConeScene& scene, const ConesAsked& asked) {
         const wp::vec3d& from = asked.apices.data[number];
         const wp::vec4d& end = asked.ends.data[number];
         const double slope = asked.slopes.data[number];
         const Cone cone = ConeWalk::cone(scene, from, end, slope);
+        ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope), true);
+        walk.budget = asked.budget;
         const ConeOutcome outcome = { scene, cone, wp::vec4d(from[0], from[1], from[2], 0.0), end };
         int& hint = asked.hints.data[number / CONES_OF_A_HINT];
-        int found = CONE_BLOCKED;
-        if (asked.budget < NO_BUDGET || hint < 0 || !outcome.hidden_by(hint, true)) {
-            ConeWalk walk(scene, cone, slope, CONE_ADDED * (1.0 + slope), true);
-            walk.budget = asked.budget;
-            int hiding = -1;
-            found = outcome.whole(walk, asked.budget, hiding);
-            hint = hiding;
-        }
-        asked.outcomes.data[number] = (unsigned char)found;
+        int first = asked.budget < NO_BUDGET ? -1 : hint;
+        asked.outcomes.data[number] = (unsigned char)outcome.whole(walk, first);
+        hint = first;
     }
 };

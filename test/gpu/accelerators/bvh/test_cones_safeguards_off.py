@@ -40,7 +40,7 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
     "answers of a budget that was too small": (
         _OUTCOMES,
         "budget",
-        (_OUTCOME, "return walk.spent > budget ? CONE_PARTLY : met", "return met"),
+        (_OUTCOME, "return walk.spent > walk.budget ? CONE_PARTLY : met", "return met"),
     ),
     "covers by planes of any place": (
         _OUTCOMES,
@@ -92,7 +92,7 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
         "beside_rays",
         (_OUTCOME, "        return axis;", "        return true;"),
     ),
-    "hints with a budget": (_OUTCOMES, "hint", (_OUTCOME, "asked.budget < NO_BUDGET || hint < 0", "hint < 0")),
+    "hints with a budget": (_OUTCOMES, "hint", (_OUTCOME, "asked.budget < NO_BUDGET ? -1 : hint", "hint")),
     "sixteen boxes by the axis alone": (
         _OUTCOMES,
         "beside_rays",
