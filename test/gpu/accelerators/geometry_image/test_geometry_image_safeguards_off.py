@@ -15,7 +15,10 @@ _QUAD, _IMAGES = _ROOM + "quad.h", _ROOM + "images.py"
 _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "boxes without padding": (
         "corners_of_boxes or in_their_plane or rows_columns",
-        [(_BOX, "low[k] - BOX_PADDING", "low[k]"), (_BOX, "high[k] + BOX_PADDING", "high[k]")],
+        [
+            (_BOX, "box.inverse_extent - BOX_PADDING", "box.inverse_extent"),
+            (_BOX, "box.inverse_extent + BOX_PADDING", "box.inverse_extent"),
+        ],
     ),
     "what is not a number is in boxes": (
         "some_corners or nodes_are",
@@ -41,7 +44,7 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         "terrain",
         [(_WALK, "            ++key;\n", "            key = (key | 3) + 1;\n")],
     ),
-    "tiles follow each other along rows": ("sizes", [(_ORDER, "image.upright ? j : i", "i")]),
+    "tiles follow each other along rows": ("sizes", [(_ORDER, "row = image.upright ? j : i", "row = i")]),
     "samples of any distance": ("far_away", [(_WALK, "if (place == Segment::TOO_FAR)", "if (false)")]),
     "boxes of surfaces as they were": (
         "sequences",
