@@ -242,6 +242,20 @@ def test_samples_far_away(any_device: str) -> None:
     assert (states == 1).any()
 
 
+@pytest.mark.parametrize("level", [1, 3])
+def test_a_level_of_detail_is_another_world_with_the_same_bits(any_device: str, level: int) -> None:
+    """The ball's ends still meet."""
+    positions = 4.0 * _ball(18, 31)
+    ways = positions.reshape(-1, 3)
+    points = np.concatenate([1.25 * ways, 0.8 * ways, 2.0 * np.roll(ways, 7, axis=0)])
+    lights = [PointLight("lamp", (0.0, 0.0, 0.0)), PointLight("side", (3.0, 9.0, 1.0)), surfaces.sun(20.0, 200.0)]
+    states, _, tracer = _agree(
+        any_device, lambda scene: scene.put_surface("ball", positions, level=level), points, lights
+    )
+    outside = np.linalg.norm(points, axis=1) > 4.5
+    assert tracer.scene["ball"].grid == {1: (10, 16), 3: (4, 5)}[level] and (states[0, outside] == 1).all()
+
+
 @pytest.mark.parametrize("queue", [1, 50_000])
 def test_meshes_beside_surfaces(any_device: str, queue: int) -> None:
     rng = np.random.default_rng(11)
