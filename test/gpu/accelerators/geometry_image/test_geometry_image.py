@@ -178,6 +178,21 @@ def test_quads_with_some_corners(any_device: str, kind: str) -> None:
     assert (states == 1).any()
 
 
+def test_a_surface_without_a_valid_quad(any_device: str) -> None:
+    """Alone, then beside a mesh, then with its positions."""
+    tracer, points = surfaces.tracer(any_device, "geometry_image"), np.array([(1.0, 1.0, -1.0), (9.0, 9.0, 9.0)])
+    light, positions = PointLight("lamp", (1.0, 1.0, 5.0)), np.zeros((3, 3, 3))
+    positions[..., :2] = np.moveaxis(np.mgrid[:3, :3], 0, -1) + 0.125
+    tracer.scene.put_surface("sheet", positions, np.eye(3) > 0)
+    assert not tracer.occluded(points, light).any()
+    tracer.scene.put("roof", [(0, 0, 1), (4, 0, 1), (0, 4, 1)], [(0, 1, 2)])
+    assert tracer.occluded(points, light).tolist() == [True, False]
+    tracer.scene.remove("roof")
+    assert not tracer.occluded(points, light).any()
+    tracer.scene.deform_surface("sheet", positions, np.ones((3, 3), bool))
+    assert tracer.occluded(points, light).tolist() == [True, False]
+
+
 def test_rays_at_corners_of_boxes(any_device: str) -> None:
     """Spikes of one position each, at corners of nodes: rays that just touch their tips, aimed with no room at all."""
     rng = np.random.default_rng(6)
