@@ -134,7 +134,8 @@ class Scene:
             cast_shadows: whether it is an occluder; see :meth:`cast_shadows`.
             level: of detail: the surface has every 2**level-th row and column, and the last ones. That is another
                 surface, which all pipelines agree about: where it lies below the finer one it casts less, where above
-                more. Positions in between are not looked at.
+                more. Positions in between are not looked at, but for whether they are valid: one that has another
+                between it and the next one that is kept is not there, so that nothing reaches over gutters and holes.
 
         Raises:
             ValueError: an argument is malformed; the message names it and the first fault's position.

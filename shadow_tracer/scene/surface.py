@@ -114,6 +114,18 @@ class Sampling:
             found.append(some if some[-1] == count - 1 else np.append(some, np.int32(count - 1)))
         return found[0], found[1]
 
+    def whole(self, valid: BoolArray) -> BoolArray:
+        """Which positions that are kept have valid ones alone around them, up to the next that are kept: so that no
+        quad reaches over what is not valid, a gutter between charts, say."""
+        sums = np.zeros((self.rows + 1, self.columns + 1), np.int64)
+        np.cumsum(np.cumsum(~valid, axis=0), axis=1, out=sums[1:, 1:])
+        rows, columns = self.kept()
+        above, left = (np.append(each[:1], each[:-1])[:, None] for each in (rows, columns))
+        below, right = (np.append(each[1:], each[-1:])[:, None] + 1 for each in (rows, columns))
+        left, right = left.T, right.T
+        missing = sums[below, right] - sums[above, right] - sums[below, left] + sums[above, left]
+        return cast(BoolArray, missing == 0)
+
     @property
     def grid(self) -> tuple[int, int]:
         """How many rows and columns these are."""
@@ -194,14 +206,12 @@ def organised(positions: Any, valid: Any, known: BoolArray | None = None, level:
     kept = sampling.kept()
     shape, some = (len(kept[0]), len(kept[1])), np.ix_(*kept)
     mask = _mask(valid, rows, columns) if valid is not None else None
+    if own is not None:
+        mask = own if mask is None else mask & own
     if sampling.level:
         grid = grid[some]
-        mask, own = (None if each is None else each[some] for each in (mask, own))
-    if mask is not None:
-        mask = mask if own is None else mask & own
-    elif own is not None:
-        mask = own
-    else:
+        mask = None if mask is None else sampling.whole(mask)
+    if mask is None:
         mask = np.ones(shape, np.bool_) if known is None or known.shape != shape else known
     vertices = grid.reshape(-1, 3)
     flat = mask.reshape(-1)

@@ -102,14 +102,25 @@ def test_a_level_of_detail_is_the_surface_of_some_positions(shape: tuple[int, in
     """Every so many rows and columns, and the last ones; deformed likewise, with and without another mask."""
     scene, (rows, columns) = Scene(), shape
     kept = np.ix_(*(sorted({*range(0, count, 2**level), count - 1}) for count in shape))
-    valid = np.arange(rows * columns).reshape(shape) % 5 != 2
+    valid = np.arange(rows * columns).reshape(shape) != 3
+
+    def around(mask: np.ndarray) -> np.ndarray:
+        """Kept positions whose neighbourhood, up to the next ones that are kept, is valid; of level 0 the mask."""
+        some, down, across = mask[kept], kept[0].ravel(), kept[1].ravel()
+        for i, j in np.ndindex(some.shape if level else (0, 0)):
+            top, bottom = down[max(i - 1, 0)], down[min(i + 1, len(down) - 1)]
+            left, right = across[max(j - 1, 0)], across[min(j + 1, len(across) - 1)]
+            some[i, j] = mask[top : bottom + 1, left : right + 1].all()
+        return some
+
     mesh, fresh = scene.put_surface("cloth", _grid(*shape), valid, level=level), Scene()
-    coarse = fresh.put_surface("cloth", _grid(*shape)[kept], valid[kept])
+    coarse = fresh.put_surface("cloth", _grid(*shape)[kept], around(valid))
     assert mesh.grid == coarse.grid == (len(kept[0]), kept[1].shape[1])
-    for given, mask in ((None, None), (_grid(*shape) + 2.0, None), (_grid(*shape), ~valid), (_grid(*shape), None)):
+    other = np.arange(rows * columns).reshape(shape) % 31 != 17
+    for given, mask in ((None, None), (_grid(*shape) + 2.0, None), (_grid(*shape), other), (_grid(*shape), None)):
         if given is not None:
             scene.deform_surface("cloth", given, mask)
-            fresh.deform_surface("cloth", given[kept], None if mask is None else mask[kept])
+            fresh.deform_surface("cloth", given[kept], None if mask is None else around(mask))
         assert np.array_equal(scene["cloth"].vertices, fresh["cloth"].vertices, equal_nan=True)
         assert np.array_equal(scene["cloth"].triangles, fresh["cloth"].triangles)
         assert np.array_equal(scene["cloth"].valid, fresh["cloth"].valid)
@@ -128,10 +139,27 @@ def test_the_same_positions_at_another_level_are_another_surface() -> None:
 
 
 def test_a_level_of_a_field_of_heights() -> None:
-    z = np.arange(20.0).reshape(4, 5)
-    z[2, 2] = z[1, 1] = np.nan
+    z = np.arange(63.0).reshape(7, 9)
+    z[1, 1] = np.nan
     mesh = Scene().put_surface("ground", HeightField(z, 1.0), level=1)
-    assert mesh.grid == (3, 3) and np.argwhere(~mesh.valid).tolist() == [[1, 1]]
+    assert mesh.grid == (4, 5) and np.argwhere(~mesh.valid).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
+
+
+def test_a_level_of_an_atlas_has_nothing_between_its_charts() -> None:
+    """A gutter of one column, between those that are kept."""
+    valid = np.ones((9, 17), bool)
+    valid[:, 7] = False
+    mesh = Scene().put_surface("atlas", _grid(9, 17), valid, level=1)
+    corners = mesh.vertices[mesh.triangles]
+    there = np.isfinite(corners).all(axis=(1, 2))
+    columns = np.sort(_columns_of(mesh, there), axis=1)
+    assert there.sum() == 2 * 4 * 5 and not ((columns[:, 0] < 7) & (columns[:, -1] > 7)).any()
+
+
+def _columns_of(mesh: Any, some: np.ndarray) -> np.ndarray:
+    """(T, 3) columns of the positions that were given, of the corners of some triangles."""
+    kept = mesh.sampling.kept()[1]
+    return np.array(kept[mesh.triangles[some] % len(kept)])
 
 
 def test_a_mesh_in_place_of_a_surface_and_back() -> None:

@@ -67,10 +67,17 @@ struct InPlace1 {
                && (fabs(here) + reach) * (length - (bounded ? bias : 0.0))
                       <= 0.999999999999 * bias * (fabs(there) - off);
     }
-    // What remains to be found out about a triangle; true if it hides the ray.
-    inline bool settle(int triangle, const wp::vec3d& p, const wp::vec3d& way, const wp::vec3d& a, const wp::vec3d& b,
-                       const wp::vec3d& c) {
-        if (misses(p, way, a, b, c))
+    // Shows a triangle; true if it hides the ray.
+    inline bool visit(int triangle) {
+        const wp::vec3i& corner = asked.triangles.data[triangle];
+        const wp::vec3d &a = asked.vertices.data[corner[0]], &b = asked.vertices.data[corner[1]],
+                        &c = asked.vertices.data[corner[2]];
+        if (!wp::isfinite(a) || !wp::isfinite(b) || !wp::isfinite(c))
+            return false;
+        ++tests;
+        const wp::vec4d& at = sample();
+        const wp::vec3d p(at[0], at[1], at[2]), to = way();
+        if (Side::beside(Side::of(p, to, a, b), Side::of(p, to, b, c), Side::of(p, to, c, a)) || misses(p, to, a, b, c))
             return false;
         ++retested;
         double value;
@@ -84,19 +91,6 @@ struct InPlace1 {
         hide();
         hider = triangle;
         return true;
-    }
-    // Shows a triangle; true if it hides the ray.
-    inline bool visit(int triangle) {
-        const wp::vec3i& corner = asked.triangles.data[triangle];
-        const wp::vec3d &a = asked.vertices.data[corner[0]], &b = asked.vertices.data[corner[1]],
-                        &c = asked.vertices.data[corner[2]];
-        if (!wp::isfinite(a) || !wp::isfinite(b) || !wp::isfinite(c))
-            return false;
-        ++tests;
-        const wp::vec4d& at = sample();
-        const wp::vec3d p(at[0], at[1], at[2]), to = way();
-        return !Side::beside(Side::of(p, to, a, b), Side::of(p, to, b, c), Side::of(p, to, c, a))
-               && settle(triangle, p, to, a, b, c);
     }
     inline void everything() {
         for (int t = 0; t < asked.triangle_count; ++t)

@@ -29,7 +29,7 @@ beside 24 bytes of coordinates for a position and 12 bytes of numbers for a tria
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 from shadow_tracer.gpu.accelerators.geometry_image.images import Images, Structure
 from shadow_tracer.gpu.accelerators.interface import Context
@@ -50,6 +50,7 @@ class GeometryImages(Surfaces):
         super().__init__(context)
         self._images: Images = context.scene.made.take(Images, lambda: Images(context.scene))
         self._silent: SilentCounts = context.scene.made.take(SilentCounts, lambda: SilentCounts(context.scene))
+        self._counted: dict[int, tuple[Hashable, tuple[int, int]]] = {}  # by the numbers of lights
 
     def structure(self) -> Structure | None:
         """All images."""
@@ -63,15 +64,23 @@ class GeometryImages(Surfaces):
     def forget(self) -> None:
         """Boxes, and what the meshes go through, are to be made again."""
         self._images.forget()
+        self._counted.clear()
         self._rest.forget()
 
     def silent(self, light: LightFrame) -> tuple[int, int]:
-        """Of the meshes, as their records say, and of the surfaces."""
-        rest, sums = self._rest.silent(light), self._silent
+        """Of the meshes, as their records say, and of the surfaces; counted once for a light that stays over a scene
+        that does."""
+        rest, scene = self._rest.silent(light), self._context.scene
+        cull = self._context.records.front_face_culling
+        key = scene.copied, tuple(scene.names_left_out), tuple(light.light), cull
+        counted = self._counted.get(light.number)
+        if counted is None or counted[0] != key:
+            counted = self._counted[light.number] = key, self._count(light, cull)
+        return rest[0] + counted[1][0], rest[1] + counted[1][1]
+
+    def _count(self, light: LightFrame, cull: bool) -> tuple[int, int]:
+        sums = self._silent
         sums.begin()
         for placed in self._images.placed:
-            sums.add(
-                placed.image.first_triangle, len(placed.mesh.triangles), light, self._context.records.front_face_culling
-            )
-        ours = sums.total()
-        return rest[0] + ours[0], rest[1] + ours[1]
+            sums.add(placed.image.first_triangle, len(placed.mesh.triangles), light, cull)
+        return sums.total()

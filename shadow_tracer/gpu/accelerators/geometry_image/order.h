@@ -9,16 +9,17 @@ struct Order {
         key = (key | key >> 4) & 0x00FF00FFu;
         return (int)((key | key >> 8) & 0x0000FFFFu);
     }
-    // Which quad a key is of, from 0 and row by row; -1 if it is of none.
-    static inline int quad(const Image& image, wp::uint32 key) {
+    // Row and column of the quad that a key is of; false if it is of none.
+    static inline bool place(const Image& image, wp::uint32 key, int& row, int& column) {
         const int bits = 2 * image.tile_bits, tile = (int)(key >> bits);
         const wp::uint32 within = key & ((1u << bits) - 1u);
         // Tiles follow each other along the shorter side first.
-        const int over = tile % image.tiles_over, along = tile / image.tiles_over;
-        const int i = (over << image.tile_bits) + even_bits(within >> 1);
+        const int along = image.tiles_over == 1 ? tile : tile / image.tiles_over;
+        const int i = ((tile - along * image.tiles_over) << image.tile_bits) + even_bits(within >> 1);
         const int j = (along << image.tile_bits) + even_bits(within);
-        const int row = image.upright ? j : i, column = image.upright ? i : j;
-        return row < image.rows && column < image.columns ? row * image.columns + column : -1;
+        row = image.upright ? j : i;
+        column = image.upright ? i : j;
+        return row < image.rows && column < image.columns;
     }
     // How many nodes a level has.
     static inline int nodes(const Image& image, int level) {

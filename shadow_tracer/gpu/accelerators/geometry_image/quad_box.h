@@ -6,12 +6,11 @@ struct QuadBox {
     // than three of its texels are valid.
     static inline void make(const Image& image, const SceneBox& box, int key, const wp::array_t<wp::vec3d>& vertices,
                             const wp::array_t<float>& boxes) {
-        const int quad = Order::quad(image, (wp::uint32)key);
         float* node = boxes.data + Node::FLOATS * ((size_t)image.first_node + key);
         float least[3] = { 0.0f, 0.0f, 0.0f }, most[3] = { 0.0f, 0.0f, 0.0f };
-        int valid = 0;
-        if (quad >= 0) {
-            const int row = quad / image.columns, column = quad - row * image.columns, across = image.columns + 1;
+        int valid = 0, row, column;
+        if (Order::place(image, (wp::uint32)key, row, column)) {
+            const int across = image.columns + 1;
             const wp::vec3d* from = vertices.data + image.first_vertex + (size_t)row * across + column;
             double low[3] = { HUGE_VAL, HUGE_VAL, HUGE_VAL }, high[3] = { -HUGE_VAL, -HUGE_VAL, -HUGE_VAL };
             for (int j = 0; j < 4; ++j) {
@@ -20,14 +19,13 @@ struct QuadBox {
                     continue;
                 ++valid;
                 for (int k = 0; k < 3; ++k) {
-                    const double x = (at[k] - box.center[k]) * box.inverse_extent;
-                    low[k] = x < low[k] ? x : low[k];
-                    high[k] = x > high[k] ? x : high[k];
+                    low[k] = at[k] < low[k] ? at[k] : low[k];
+                    high[k] = at[k] > high[k] ? at[k] : high[k];
                 }
             }
             for (int k = 0; k < 3; ++k) {
-                least[k] = (float)(low[k] - BOX_PADDING);
-                most[k] = (float)(high[k] + BOX_PADDING);
+                least[k] = (float)((low[k] - box.center[k]) * box.inverse_extent - BOX_PADDING);
+                most[k] = (float)((high[k] - box.center[k]) * box.inverse_extent + BOX_PADDING);
             }
         }
         Node::store(node, least, most, valid >= 3);

@@ -28,7 +28,9 @@ struct Walk1 {
                     key <<= 2;
                     continue;
                 }
-                if (Quad::show(query, image.first_triangle + 2 * Order::quad(image, key)))
+                int row, column;
+                if (Order::place(image, key, row, column)
+                    && Quad::show(query, image.first_triangle + 2 * (row * image.columns + column)))
                     return true;
             }
             ++key;

@@ -178,6 +178,21 @@ def test_quads_with_some_corners(any_device: str, kind: str) -> None:
     assert (states == 1).any()
 
 
+def test_a_surface_without_a_valid_quad(any_device: str) -> None:
+    """Alone, then beside a mesh, then with its positions."""
+    tracer, points = surfaces.tracer(any_device, "geometry_image"), np.array([(1.0, 1.0, -1.0), (9.0, 9.0, 9.0)])
+    light, positions = PointLight("lamp", (1.0, 1.0, 5.0)), np.zeros((3, 3, 3))
+    positions[..., :2] = np.moveaxis(np.mgrid[:3, :3], 0, -1) + 0.125
+    tracer.scene.put_surface("sheet", positions, np.eye(3) > 0)
+    assert not tracer.occluded(points, light).any()
+    tracer.scene.put("roof", [(0, 0, 1), (4, 0, 1), (0, 4, 1)], [(0, 1, 2)])
+    assert tracer.occluded(points, light).tolist() == [True, False]
+    tracer.scene.remove("roof")
+    assert not tracer.occluded(points, light).any()
+    tracer.scene.deform_surface("sheet", positions, np.ones((3, 3), bool))
+    assert tracer.occluded(points, light).tolist() == [True, False]
+
+
 def test_rays_at_corners_of_boxes(any_device: str) -> None:
     """Spikes of one position each, at corners of nodes: rays that just touch their tips, aimed with no room at all."""
     rng = np.random.default_rng(6)
@@ -240,6 +255,20 @@ def test_samples_far_away(any_device: str) -> None:
     light = PointLight("lamp", middle + (0.1, 0.2, 0.3))
     states, _, _ = _agree(any_device, lambda scene: scene.put_surface("cloth", positions), points, [light])
     assert (states == 1).any()
+
+
+@pytest.mark.parametrize("level", [1, 3])
+def test_a_level_of_detail_is_another_world_with_the_same_bits(any_device: str, level: int) -> None:
+    """The ball's ends still meet."""
+    positions = 4.0 * _ball(18, 31)
+    ways = positions.reshape(-1, 3)
+    points = np.concatenate([1.25 * ways, 0.8 * ways, 2.0 * np.roll(ways, 7, axis=0)])
+    lights = [PointLight("lamp", (0.0, 0.0, 0.0)), PointLight("side", (3.0, 9.0, 1.0)), surfaces.sun(20.0, 200.0)]
+    states, _, tracer = _agree(
+        any_device, lambda scene: scene.put_surface("ball", positions, level=level), points, lights
+    )
+    outside = np.linalg.norm(points, axis=1) > 4.5
+    assert tracer.scene["ball"].grid == {1: (10, 16), 3: (4, 5)}[level] and (states[0, outside] == 1).all()
 
 
 @pytest.mark.parametrize("queue", [1, 50_000])

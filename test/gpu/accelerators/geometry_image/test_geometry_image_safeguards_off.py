@@ -15,7 +15,10 @@ _QUAD, _IMAGES = _ROOM + "quad.h", _ROOM + "images.py"
 _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "boxes without padding": (
         "corners_of_boxes or in_their_plane or rows_columns",
-        [(_BOX, "low[k] - BOX_PADDING", "low[k]"), (_BOX, "high[k] + BOX_PADDING", "high[k]")],
+        [
+            (_BOX, "box.inverse_extent - BOX_PADDING", "box.inverse_extent"),
+            (_BOX, "box.inverse_extent + BOX_PADDING", "box.inverse_extent"),
+        ],
     ),
     "what is not a number is in boxes": (
         "some_corners or nodes_are",
@@ -24,19 +27,10 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "quads with three corners are none": ("some_corners", [(_BOX, "valid >= 3", "valid == 4")]),
     "quads are looked at from one side of the diagonal": (
         "folded",
-        [
-            (
-                _QUAD,
-                "return !Side::beside(across.back()",
-                "return across.value <= 0.0 && !Side::beside(across.back()",
-            )
-        ],
+        [(_QUAD, "query.tests += 2", "possible &= across.value > 0.0 ? 1 : 2;\n            query.tests += 2")],
     ),
     "the diagonal seen from the same side twice": ("terrain", [(_QUAD, "across.back()", "across")]),
-    "one triangle of a quad": (
-        "terrain",
-        [(_QUAD, "query.visit(first) || query.visit(first + 1)", "query.visit(first)")],
-    ),
+    "one triangle of a quad": ("terrain", [(_QUAD, "k < 2", "k < 1")]),
     "edges that float64 is sure of": (
         "no_cracks or rows_columns",
         [("visibility/in_place.h", "MASK_PAD * Sides::Plane::sum(way) * plane.size", "0.0")],
@@ -50,7 +44,7 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
         "terrain",
         [(_WALK, "            ++key;\n", "            key = (key | 3) + 1;\n")],
     ),
-    "tiles follow each other along rows": ("sizes", [(_ORDER, "image.upright ? j : i", "i")]),
+    "tiles follow each other along rows": ("sizes", [(_ORDER, "row = image.upright ? j : i", "row = i")]),
     "samples of any distance": ("far_away", [(_WALK, "if (place == Segment::TOO_FAR)", "if (false)")]),
     "boxes of surfaces as they were": (
         "sequences",
@@ -76,7 +70,11 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     ),
     "silent triangles of meshes alone": (
         "terrain or wild",
-        [(_ROOM + "geometry_image.py", "rest[0] + ours[0]", "rest[0]")],
+        [(_ROOM + "geometry_image.py", "rest[0] + counted[1][0]", "rest[0]")],
+    ),
+    "silent triangles are counted once": (
+        "sequences or folded",
+        [(_ROOM + "geometry_image.py", "if counted is None or counted[0] != key:", "if counted is None:")],
     ),
 }
 
