@@ -71,6 +71,7 @@ setup(
             "rich>=13.7",
             "tzdata>=2024.1",
             "xarray>=2024.1",
+            "zarr>=3.0; python_version >= '3.11'",
         ],
         # Depth images of the transport compressedDepth that are PNG; RVL needs nothing.
         "compressed": ["pillow>=10.3"],

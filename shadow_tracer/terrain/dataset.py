@@ -54,10 +54,15 @@ def layers_of(result: TileResult, daylight: float) -> dict[str, FloatArray]:
 
 
 class Gathered:
-    """Results of tiles, put together in memory: 4 bytes for each cell and layer, one for each cell and time."""
+    """Results of tiles, put together in memory: 4 bytes for each cell and layer, one for each cell and time.
 
-    def __init__(self, plan: Plan) -> None:
-        shape = plan.grid.rows, plan.grid.columns
+    Args:
+        plan: what is answered.
+        shape: rows and columns; None are those of the model.
+    """
+
+    def __init__(self, plan: Plan, shape: tuple[int, int] | None = None) -> None:
+        shape = shape or (plan.grid.rows, plan.grid.columns)
         self._plan = plan
         self.codes: npt.NDArray[np.uint8] = np.full((len(plan.suns.stamps), *shape), Code.UNKNOWN, np.uint8)
         self.layers: dict[str, npt.NDArray[np.float32]] = {

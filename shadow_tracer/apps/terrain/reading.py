@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elevation models in files: GeoTIFF and all else that GDAL reads as a raster, `.npy`, and `.nc` by xarray."""
+"""Elevation models in files: what GDAL reads as a raster, such as GeoTIFF; `.npy`; `.nc` and `.zarr` by xarray."""
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from shadow_tracer.scene.checks import LARGEST
 from shadow_tracer.terrain.plan import Window
 
 FloatArray = npt.NDArray[np.float64]
+NO_ZARR = "a Zarr store needs zarr: pip install 'shadow_tracer[terrain]', with Python 3.11 or later"
 _METRES = ("", "m", "metre", "metres", "meter", "meters")
 
 
@@ -77,6 +79,34 @@ class GeoTiff:
         return {"path": self.path, "band": self.band, "_open": None}
 
 
+@dataclass
+class Zarr:
+    """A variable of a Zarr store, of which no more is read than is asked for."""
+
+    path: Path
+    variable: str
+    _open: Any = field(default=None, repr=False, compare=False)
+
+    def read(self, window: Window) -> FloatArray:
+        try:
+            if self._open is None:
+                self._open = _open_store(self.path)[self.variable]
+            heights = np.array(self._open[window].values, np.float64)
+        except (OSError, ValueError, KeyError, RuntimeError) as error:
+            raise TerrainError(f"{self.path.name}: {self.variable}: cannot be read, it is damaged ({error})") from error
+        return _checked(self.path.name, heights, window)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "variable": self.variable, "_open": None}
+
+
+def _open_store(path: Path) -> Any:
+    """The Dataset in a Zarr store; its arrays are read when they are looked at."""
+    import xarray
+
+    return xarray.open_dataset(path, engine="zarr", chunks=None)
+
+
 @dataclass(frozen=True)
 class InMemory:
     """An array."""
@@ -106,7 +136,7 @@ def open_model(path: Path, band: int | None, variable: str, resolution: float | 
     Args:
         path: what to read.
         band: of a raster, from 1 on; None is the only one.
-        variable: of a `.nc` file; "" is the only one with two dimensions.
+        variable: of a `.nc` file or `.zarr` store; "" is the only one with two dimensions.
         resolution: of a `.npy` file [m].
         nodata: of a `.npy` file, the height that says that there is none.
 
@@ -119,6 +149,10 @@ def open_model(path: Path, band: int | None, variable: str, resolution: float | 
         return _open_npy(path, resolution, nodata)
     if resolution is not None or nodata is not None:
         raise TerrainError(f"{path.name}: --resolution and --nodata are for .npy files; this one has its own")
+    if path.suffix == ".zarr":
+        if importlib.util.find_spec("zarr") is None:
+            raise TerrainError(f"{path.name}: {NO_ZARR}")
+        return _open_zarr(path, variable)
     return _open_nc(path, variable) if path.suffix == ".nc" else _open_raster(path, band)
 
 
@@ -184,25 +218,49 @@ def _open_nc(path: Path, variable: str) -> Model:
 
     try:
         with xarray.open_dataset(path, engine="h5netcdf") as file:
-            names = [str(name) for name, each in file.data_vars.items() if each.ndim == 2]
-            if (variable and variable not in names) or (not variable and len(names) != 1):
-                raise TerrainError(
-                    f"{path.name}: --variable: expected one of {', '.join(names) or 'none with two dimensions'}, got "
-                    f"{variable!r}"
-                )
-            found = file[variable or names[0]]
+            found = _chosen(path.name, file, variable)
             heights = _heights(path.name, found.values)
-            unit = str(found.attrs.get("units", "")).lower()
-            axes = [file.coords.get(dim) for dim in found.dims]
-            steps = [_axis(path.name, str(dim), axis) for dim, axis in zip(found.dims, axes, strict=True)]
-            crs = _crs(file, found, [str(axis.attrs.get("units", "")) for axis in axes if axis is not None])
+            transform, crs = _described(path.name, file, found)
     except (OSError, ValueError, KeyError) as error:
         raise TerrainError(f"{path.name}: not a NetCDF 4 file, or damaged ({error})") from error
-    if unit not in _METRES:
-        raise TerrainError(f"{path.name}: units: expected m, got {unit!r}")
-    (y, down), (x, right) = steps
-    transform = (right, 0.0, x - right / 2, 0.0, down, y - down / 2)
     return Model(InMemory(path.name, heights), (heights.shape[0], heights.shape[1]), transform, crs)
+
+
+def _open_zarr(path: Path, variable: str) -> Model:
+    try:
+        with _open_store(path) as file:
+            found = _chosen(path.name, file, variable)
+            if found.dtype.kind not in "iuf" or 0 in found.shape:
+                raise TerrainError(
+                    f"{path.name}: heights: expected real numbers of shape (rows, columns), got {found.dtype} "
+                    f"{found.shape}"
+                )
+            transform, crs = _described(path.name, file, found)
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise TerrainError(f"{path.name}: not a Zarr store, or damaged ({error})") from error
+    return Model(Zarr(path, str(found.name)), (found.shape[0], found.shape[1]), transform, crs)
+
+
+def _chosen(name: str, file: Any, variable: str) -> Any:
+    """The variable with the heights."""
+    names = [str(each) for each, found in file.data_vars.items() if found.ndim == 2]
+    if (variable and variable not in names) or (not variable and len(names) != 1):
+        raise TerrainError(
+            f"{name}: --variable: expected one of {', '.join(names) or 'none with two dimensions'}, got {variable!r}"
+        )
+    return file[variable or names[0]]
+
+
+def _described(name: str, file: Any, found: Any) -> tuple[Transform, Any]:
+    """Where the cells of a variable are, and the coordinate system."""
+    unit = str(found.attrs.get("units", "")).lower()
+    if unit not in _METRES:
+        raise TerrainError(f"{name}: units: expected m, got {unit!r}")
+    axes = [file.coords.get(dim) for dim in found.dims]
+    steps = [_axis(name, str(dim), axis) for dim, axis in zip(found.dims, axes, strict=True)]
+    crs = _crs(file, found, [str(axis.attrs.get("units", "")) for axis in axes if axis is not None])
+    (y, down), (x, right) = steps
+    return (right, 0.0, x - right / 2, 0.0, down, y - down / 2), crs
 
 
 def _axis(name: str, dim: str, axis: Any) -> tuple[float, float]:

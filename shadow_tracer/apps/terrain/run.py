@@ -85,11 +85,13 @@ def save(path: Path, result: TileResult) -> None:
 
 def key_of(plan: Plan, path: Path, *options: Any) -> str:
     """What a run depends on, in a few characters: the file, the plan, the program's version."""
-    known = path.stat()
     suns = plan.suns
     digest = hashlib.sha256()
-    for part in (_FORMAT, __version__, str(path.resolve()), known.st_size, known.st_mtime_ns, *options):
+    for part in (_FORMAT, __version__, str(path.resolve()), *options):
         digest.update(f"{part!r}\n".encode())
+    for file in sorted(path.rglob("*")) if path.is_dir() else (path,):
+        known = file.stat()
+        digest.update(f"{file.name!r} {known.st_size!r} {known.st_mtime_ns!r}\n".encode())
     digest.update(f"{plan.grid!r} {plan.above!r} {plan.ceiling!r} {plan.tiles!r} {suns.stamps!r}".encode())
     for array in (suns.seconds, suns.towards, suns.irradiance):
         digest.update(array.tobytes())

@@ -15,15 +15,16 @@ from typing import TYPE_CHECKING
 
 from shadow_tracer.apps.terrain.days import day_of, irradiance_of, seconds_of, times_of, zone_of
 from shadow_tracer.apps.terrain.georeference import Georeference, TerrainError, locate
-from shadow_tracer.apps.terrain.reading import Model, open_model
+from shadow_tracer.apps.terrain.reading import NO_ZARR, Model, open_model
 from shadow_tracer.terrain.plan import Plan, make_plan
 from shadow_tracer.terrain.sunlight import BEYOND, check_options
 from shadow_tracer.terrain.suns import SOLAR_CONSTANT, suns
 
 if TYPE_CHECKING:
     from shadow_tracer.apps.terrain.pictures import Pictures
-    from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput
+    from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput, ZarrOutput
 
+_TIFF = ".tif", ".tiff"
 _OUTPUTS = "output", "codes", "png", "gif"
 NEEDED = ("ephem", "h5netcdf", "h5py", "matplotlib", "PIL", "rasterio", "rich", "xarray")
 
@@ -123,10 +124,14 @@ def _check_outputs(chosen: argparse.Namespace, times: int) -> None:
         raise ValueError(f"--gif: expected at most {MOST_TIMES} times, got {times}")
     if chosen.jobs < 1:
         raise ValueError(f"--jobs: expected at least 1, got {chosen.jobs}")
-    if chosen.output.suffix not in (".tif", ".tiff", ".nc"):
-        raise ValueError(f"-o: expected *.tif or *.nc, got {chosen.output}")
-    if chosen.codes and (chosen.output.suffix == ".nc" or chosen.codes.suffix not in (".tif", ".tiff")):
-        raise ValueError("--codes: expected *.tif, beside an output of *.tif (a *.nc has them already)")
+    if chosen.output.suffix not in (*_TIFF, ".nc", ".zarr"):
+        raise ValueError(f"-o: expected *.tif, *.nc or *.zarr, got {chosen.output}")
+    if chosen.output.suffix == ".zarr" and importlib.util.find_spec("zarr") is None:
+        raise ValueError(f"-o: {NO_ZARR}")
+    if chosen.cog and chosen.output.suffix not in _TIFF:
+        raise ValueError("--cog: expected an output of *.tif")
+    if chosen.codes and not {chosen.output.suffix, chosen.codes.suffix} <= set(_TIFF):
+        raise ValueError("--codes: expected *.tif, beside an output of *.tif (a *.nc or *.zarr has them already)")
     if chosen.codes and times > MOST_BANDS:
         raise ValueError(f"--codes: expected at most {MOST_BANDS} times, bands of a GeoTIFF, got {times}")
     seen: set[Path] = set()
@@ -168,13 +173,15 @@ def _with_progress(tiles: int, work: Callable[[Callable[[int], None]], int]) -> 
 
 def _output(
     chosen: argparse.Namespace, new: dict[str, Path], plan: Plan, where: Georeference, model: Model, stack: ExitStack
-) -> NetCdfOutput | TiffOutput:
+) -> NetCdfOutput | TiffOutput | ZarrOutput:
     """What takes the tiles; all is written to the paths ``new`` when the stack is closed."""
-    from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput
+    from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput, ZarrOutput
 
     if chosen.output.suffix == ".nc":
         return stack.enter_context(NetCdfOutput(new["output"], plan, where))
-    return stack.enter_context(TiffOutput(new["output"], new.get("codes"), plan, where, model.point))
+    if chosen.output.suffix == ".zarr":
+        return stack.enter_context(ZarrOutput(new["output"], plan, where, chosen.tile))
+    return stack.enter_context(TiffOutput(new["output"], new.get("codes"), plan, where, model.point, chosen.cog))
 
 
 def _pictures(chosen: argparse.Namespace, plan: Plan) -> Pictures | None:
@@ -210,9 +217,10 @@ def _options() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("dem", type=Path, metavar="DEM", help="a GeoTIFF or another raster of GDAL, a .npy, or a .nc (NetCDF 4)")
-    add("-o", "--output", type=Path, required=True, metavar="OUT", help="*.tif: sums, a band each; *.nc: all of it")
+    add("dem", type=Path, metavar="DEM", help="a GeoTIFF or another raster of GDAL, a .npy, a .nc or a .zarr")
+    add("-o", "--output", type=Path, required=True, metavar="OUT", help="*.tif: sums; *.nc, *.zarr: all of it")
     add("--codes", type=Path, metavar="FILE", help="*.tif: a band of codes for each time")
+    add("--cog", action="store_true", help="make *.tif cloud-optimised: with overviews, to be read over a network")
     add("--png", type=Path, metavar="FILE", help="a picture of the hours of sun")
     add("--gif", type=Path, metavar="FILE", help="the day as a moving picture")
     add("--date", required=True, metavar="DAY", help="a day such as 2026-06-21, from midnight to midnight")
@@ -229,7 +237,7 @@ def _options() -> argparse.ArgumentParser:
     add("--beyond", choices=BEYOND, default=BEYOND[0], help=outside)
     add("--curvature", action="store_true", help="of the Earth, for models of 10 to 100 km around their centre")
     add("--band", type=int, metavar="N", help="of a raster with several")
-    add("--variable", default="", metavar="NAME", help="of a .nc with several")
+    add("--variable", default="", metavar="NAME", help="of a .nc or .zarr with several")
     add("--resolution", type=float, metavar="M", help="of the cells of a .npy [m], whose rows go south")
     add("--nodata", type=float, metavar="Z", help="the height in a .npy that says that there is none")
     add("--latitude", type=float, metavar="DEG", help="of the centre, where the file does not say it")

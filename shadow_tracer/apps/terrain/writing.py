@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results into GeoTIFF, tile by tile, and NetCDF."""
+"""Results into GeoTIFF, plain or cloud-optimised, and Zarr, tile by tile, and into NetCDF."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -11,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from shadow_tracer.apps.terrain.georeference import Georeference
+from shadow_tracer.apps.terrain.georeference import Georeference, TerrainError
 from shadow_tracer.terrain.dataset import CODES, LAYERS, Gathered, dataset, iso, layers_of
 from shadow_tracer.terrain.plan import Plan, Window
-from shadow_tracer.terrain.tile import TileResult
+from shadow_tracer.terrain.tile import Code, TileResult
 
+_CHUNK = 1024  # cells along an edge of a Zarr chunk, at most
 _BLOCK = 256  # pixels of a GeoTIFF's blocks
 MOST_BANDS = 65_535
 """Of a GeoTIFF."""
@@ -23,12 +25,16 @@ MOST_BANDS = 65_535
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """The name of a file while it is written: it gets ``path`` when all is in it, and goes if that fails."""
+    """The name of a file or folder while it is written: it gets ``path`` when all is in it, and goes if that fails."""
     new = path.with_name(path.name + ".part")
     try:
         yield new
+        if path.is_dir():
+            shutil.rmtree(path)
         new.replace(path)
     except BaseException:
+        if new.is_dir():
+            shutil.rmtree(new)
         new.unlink(missing_ok=True)
         raise
 
@@ -40,11 +46,16 @@ class TiffOutput:
         path: of the sums.
         codes: of the codes, or None.
         plan, where, point: what is written, where it is, and whether pixels are points.
+        cloud: make them cloud-optimised at the end, with overviews; for a while there are two of each.
     """
 
-    def __init__(self, path: Path, codes: Path | None, plan: Plan, where: Georeference, point: bool) -> None:
-        self._paths = [path, *([codes] if codes else [])]
+    def __init__(
+        self, path: Path, codes: Path | None, plan: Plan, where: Georeference, point: bool, cloud: bool = False
+    ) -> None:
+        self._final = [path, *([codes] if codes else [])]
+        self._paths = [each.with_name(f"{each.name}.plain") for each in self._final] if cloud else self._final
         self._plan, self._where, self._point = plan, where, point
+        self._cloud = cloud
         self._stack = ExitStack()
         self._files: list[Any] = []
 
@@ -91,6 +102,30 @@ class TiffOutput:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._stack.close()
+        if not self._cloud:
+            return
+        try:
+            # Of codes no mean can be made.
+            for plain, final, how in zip(self._paths, self._final, ("AVERAGE", "NEAREST"), strict=False):
+                if kind is None:
+                    _cloud_optimised(plain, final, how)
+        finally:
+            for plain in self._paths:
+                plain.unlink(missing_ok=True)
+
+
+def _cloud_optimised(plain: Path, final: Path, resampling: str) -> None:
+    from rasterio import shutil as copies
+    from rasterio.errors import RasterioError
+
+    try:
+        copies.copy(
+            plain, final, driver="COG", compress="deflate", predictor="yes", blocksize=512, bigtiff="if_safer",
+            overview_resampling=resampling, overview_predictor="yes",
+        )  # fmt: skip
+    except RasterioError as error:
+        final.unlink(missing_ok=True)
+        raise TerrainError(f"{final.name.removesuffix('.part')}: --cog: cannot be made ({error})") from error
 
 
 class NetCdfOutput:
@@ -111,12 +146,70 @@ class NetCdfOutput:
         if kind is not None:
             return
         found = dataset(self._gathered, self._plan, *coordinates(self._where))
-        if self._where.crs is not None:
-            found["spatial_ref"] = ((), 0, {"crs_wkt": self._where.crs.to_wkt()})
-            for name in ("sun_code", "sunlit", *(layer.name for layer in LAYERS)):
-                found[name].attrs["grid_mapping"] = "spatial_ref"
+        _placed(found, self._where)
         packed = {name: {"zlib": True} for name, each in found.data_vars.items() if each.ndim >= 2}
         found.to_netcdf(self._path, engine="h5netcdf", encoding=packed)
+
+
+def _placed(found: Any, where: Georeference) -> None:
+    """Name the coordinate system in a Dataset."""
+    if where.crs is not None:
+        found["spatial_ref"] = ((), 0, {"crs_wkt": where.crs.to_wkt()})
+        for name in ("sun_code", "sunlit", *(layer.name for layer in LAYERS)):
+            found[name].attrs["grid_mapping"] = "spatial_ref"
+
+
+class ZarrOutput:
+    """A Zarr store of it all, with the variables of the NetCDF file, tile by tile.
+
+    Args:
+        path: of the folder.
+        tile: cells along an edge of a tile, which is that of a chunk.
+    """
+
+    def __init__(self, path: Path, plan: Plan, where: Georeference, tile: int) -> None:
+        self._path, self._plan, self._where = path, plan, where
+        grid = plan.grid
+        self._chunk = min(tile, grid.rows, _CHUNK), min(tile, grid.columns, _CHUNK)
+
+    def __enter__(self) -> ZarrOutput:
+        import zarr
+
+        grid, (where, dims) = self._plan.grid, coordinates(self._where)
+        about = dataset(Gathered(self._plan, (0, 0)), self._plan, {}, dims)  # what each variable is, without cells
+        _placed(about, self._where)
+        big = {str(name): each for name, each in about.data_vars.items() if set(dims) <= set(each.dims)}
+        small = about.drop_vars(list(big)).drop_dims(list(dims), errors="ignore").assign_coords(where)
+        small.to_zarr(self._path, mode="w", zarr_format=2, consolidated=False)
+        self._group: Any = zarr.open_group(self._path, mode="r+", zarr_format=2)
+        times = len(self._plan.suns.stamps)
+        for name, each in big.items():
+            extent = (times,) if each.ndim == 3 else ()
+            made = self._group.create_array(
+                name, shape=(*extent, grid.rows, grid.columns), chunks=(*([1] if extent else []), *self._chunk),
+                dtype=each.dtype, fill_value=float("nan") if each.dtype.kind == "f" else None,
+            )  # fmt: skip
+            attributes = {key: _plain(value) for key, value in each.attrs.items()}
+            made.attrs.update({**attributes, "_ARRAY_DIMENSIONS": list(each.dims)})
+        return self
+
+    def put(self, window: Window, result: TileResult) -> None:
+        """Write a tile."""
+        for k, codes in enumerate(result.codes):
+            self._group["sun_code"][(k, *window)] = codes
+            self._group["sunlit"][(k, *window)] = (codes == Code.LIT).astype(np.uint8)
+        for name, values in layers_of(result, self._plan.suns.daylight).items():
+            self._group[name][window] = values.astype(np.float32)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        import zarr
+
+        if kind is None:
+            zarr.consolidate_metadata(self._path, zarr_format=2)
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def coordinates(where: Georeference) -> tuple[dict[str, Any], tuple[str, str]]:

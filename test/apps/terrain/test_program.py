@@ -82,6 +82,67 @@ def test_the_program_and_the_library_say_the_same(model) -> None:
     assert isinstance(where.place, Place)
 
 
+def test_a_zarr_store_has_what_the_netcdf_file_has(model, capsys) -> None:
+    """Tile by tile, in whatever order chunks and tiles meet; and again in its place."""
+    pytest.importorskip("zarr")
+    import xarray
+
+    plain = _run(model, "sun.nc")
+    for more in ([], ["--tile", "16", "--overwrite"]):
+        out = _run(model, "sun.zarr", *more)
+        with (
+            xarray.open_dataset(plain, engine="h5netcdf", decode_timedelta=False) as one,
+            xarray.open_dataset(out, engine="zarr", decode_timedelta=False) as other,
+        ):
+            assert set(one.variables) == set(other.variables)
+            for name in one.variables:
+                np.testing.assert_array_equal(one[name].values, other[name].values, err_msg=str(name))
+                assert one[name].dims == other[name].dims and one[name].dtype == other[name].dtype, name
+                kept = {key: value for key, value in one[name].attrs.items() if key != "flag_values"}
+                assert kept == {key: value for key, value in other[name].attrs.items() if key != "flag_values"}, name
+            assert one.attrs == other.attrs and list(other.sun_code.attrs["flag_values"]) == [0, 1, 2, 3]
+    assert terrain.main([str(model), "-o", str(out), *DAY]) == 1 and "exists" in capsys.readouterr().err
+    assert not list(model.parent.glob("*.part*"))
+
+
+def test_a_model_in_a_zarr_store_is_that_of_the_geotiff(model, ground) -> None:
+    pytest.importorskip("zarr")
+    import xarray
+    from rasterio.crs import CRS
+
+    x, y = 440_005.0 + 10.0 * np.arange(46), 5_099_995.0 - 10.0 * np.arange(40)
+    wkt = CRS.from_epsg(32632).to_wkt()
+    store = model.with_name("dem.zarr")
+    z = ("y", "x"), np.where(ground == -9999.0, np.nan, ground), {"units": "m", "grid_mapping": "utm"}
+    found = xarray.Dataset({"z": z, "utm": ((), 0, {"crs_wkt": wkt})}, coords={"y": y, "x": x})
+    found.to_zarr(store, encoding={"z": {"chunks": (16, 16)}}, zarr_format=2)
+    assert _run(store, "b.tif", "--tile", "16").read_bytes() == _run(model, "a.tif", "--tile", "16").read_bytes()
+
+
+def test_cloud_optimised_files_have_the_same_cells_and_overviews(tmp_path) -> None:
+    import rasterio
+
+    z = hills(300, 560, seed=3, height=200.0).astype(np.float32)
+    z[:4, :4] = -9999.0
+    model = geotiff(tmp_path / "dem.tif", z, nodata=-9999.0)
+    day = ["--every", "8h"]
+    plain = _run(model, "sun.tif", "--codes", str(tmp_path / "codes.tif"), *day)
+    out = _run(model, "cog.tif", "--codes", str(tmp_path / "cogs.tif"), "--cog", *day)
+    for one, other in ((plain, out), (tmp_path / "codes.tif", tmp_path / "cogs.tif")):
+        with rasterio.open(one) as before, rasterio.open(other) as file:
+            assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG" and file.overviews(1) == [2]
+            assert file.block_shapes[0] == (512, 512) and file.compression.value == "DEFLATE"
+            assert np.array_equal(before.read(), file.read(), equal_nan=True)
+            assert (file.transform, file.crs, file.descriptions) == (before.transform, before.crs, before.descriptions)
+            assert file.tags()["AREA_OR_POINT"] == before.tags()["AREA_OR_POINT"] and file.units == before.units
+            assert np.isnan(file.nodata) if before.nodata is not None else file.nodata is None
+    with rasterio.open(tmp_path / "cogs.tif", overview_level=0) as file:
+        assert set(np.unique(file.read())) <= {0, 1, 2, 3}
+    with rasterio.open(out, overview_level=0) as file, rasterio.open(plain) as before:
+        assert file.read(1)[100, 100] == pytest.approx(before.read(1)[200:202, 200:202].mean())  # of four cells
+    assert not list(tmp_path.glob("*.pl*")) and not list(tmp_path.glob("*.part*"))
+
+
 def _placed(path: Path):
     model = open_model(path, None, "", None, None)
     return model.shape, model.transform, model.crs
@@ -181,8 +242,12 @@ def test_the_same_command_goes_on_after_an_interrupt_while_files_are_written(mod
     assert all(path.exists() for path in names)
 
 
-@pytest.mark.parametrize("name", ["sun.tif", "sun.nc"])
-def test_an_output_is_whole_or_not_there(model, monkeypatch, capsys, name) -> None:
+@pytest.mark.parametrize(
+    ("name", "options"), [("sun.tif", []), ("sun.tif", ["--cog"]), ("sun.nc", []), ("sun.zarr", [])]
+)
+def test_an_output_is_whole_or_not_there(model, monkeypatch, capsys, name, options) -> None:
+    if name == "sun.zarr":
+        pytest.importorskip("zarr")
     results = run.results
 
     def ends_early(plan, parts):
@@ -190,7 +255,7 @@ def test_an_output_is_whole_or_not_there(model, monkeypatch, capsys, name) -> No
         raise TerrainError("parts/000001.npz: has gone")
 
     monkeypatch.setattr(run, "results", ends_early)
-    more = ["--tile", "16", "--png", str(model.with_name("sun.png"))]
+    more = ["--tile", "16", "--png", str(model.with_name("sun.png")), *options]
     command = [str(model), "-o", str(model.with_name(name)), *DAY, *more]
     assert terrain.main(command) == 1 and "has gone" in capsys.readouterr().err
     assert sorted(path.name for path in model.parent.iterdir()) == ["dem.tif", f"{name}.parts"]
@@ -226,7 +291,8 @@ def test_pictures_have_a_frame_for_each_time_with_the_sun_up(model) -> None:
         (["--latitude", "3"], "--latitude: expected together with --longitude"),
         (["--latitude", "3", "--longitude", "4"], "crs: there is one; leave out --latitude"),
         (["--memory", "0.00001"], "memory: expected at least"),
-        (["-o", "sun.png"], "-o: expected *.tif or *.nc"),
+        (["-o", "sun.png"], "-o: expected *.tif, *.nc or *.zarr"),
+        (["-o", "sun.nc", "--cog"], "--cog: expected an output of *.tif"),
         (["-o", "nowhere/sun.tif"], "there is no folder"),
         (["--gif", "day.gif", "--until", "2026-03-22", "--every", "1min"], "--gif: expected at most 2000 times"),
         (["--codes", "codes.nc"], "--codes: expected *.tif"),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import data
 import numpy as np
@@ -13,6 +14,7 @@ from elevation_files import by_hand, geotiff
 for _name in ("rasterio", "xarray", "h5netcdf", "h5py", "PIL"):
     pytest.importorskip(_name, reason="needs the extra: pip install 'shadow_tracer[terrain]'")
 
+from shadow_tracer.apps.terrain import reading  # noqa: E402
 from shadow_tracer.apps.terrain.georeference import TerrainError, locate  # noqa: E402
 from shadow_tracer.apps.terrain.reading import open_model  # noqa: E402
 from shadow_tracer.apps.terrain.writing import coordinates  # noqa: E402
@@ -200,6 +202,37 @@ def test_netcdf_has_coordinates_of_centres(tmp_path) -> None:
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(TerrainError, match=r"^a.nc: not a NetCDF 4 file, or damaged"):
         _opened(path)
+
+
+def test_zarr_stores_are_checked_as_netcdf_files(tmp_path) -> None:
+    pytest.importorskip("zarr")
+    import xarray
+
+    path = tmp_path / "a.zarr"
+    x, y = 440_005.0 + 10.0 * np.arange(5), 5_099_995.0 - 10.0 * np.arange(6)
+    found = xarray.Dataset({"z": (("y", "x"), Z, {"units": "m"})}, coords={"y": y, "x": x})
+    found.to_zarr(path, zarr_format=2)
+    model = _opened(path)
+    assert model.transform == (10.0, 0.0, 440_000.0, 0.0, -10.0, 5_100_000.0) and model.crs is None
+    assert np.array_equal(model.source.read(WHOLE), Z)
+    assert np.array_equal(pickle.loads(pickle.dumps(model.source)).read((slice(1, 3), slice(2, 5))), Z[1:3, 2:5])
+    found["more"] = found.z > 3.0
+    found.to_zarr(path, mode="w", zarr_format=2)
+    with pytest.raises(TerrainError, match=r"^a.zarr: --variable: expected one of more, z, got"):
+        _opened(path)
+    with pytest.raises(TerrainError, match=r"^a.zarr: heights: expected real numbers"):
+        _opened(path, variable="more")
+    for name in (".zmetadata", "z/.zarray"):
+        (path / name).write_text("{")
+    with pytest.raises(TerrainError, match=r"^a.zarr: not a Zarr store, or damaged"):
+        _opened(path, variable="z")
+
+
+def test_without_zarr_the_cure_is_said(tmp_path, monkeypatch) -> None:
+    (tmp_path / "a.zarr").mkdir()
+    monkeypatch.setattr(reading.importlib.util, "find_spec", lambda _name: None)
+    with pytest.raises(TerrainError, match=r"^a.zarr: a Zarr store needs zarr: pip install"):
+        _opened(tmp_path / "a.zarr")
 
 
 def test_what_is_not_there_is_said(tmp_path) -> None:
