@@ -4,12 +4,15 @@ text, and errors name them."""
 
 from __future__ import annotations
 
+import ast
 import importlib
 import os
+import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -101,6 +104,56 @@ def test_every_header_is_used_and_what_it_says_comes_first() -> None:
         header = native.read(name)
         assert header.text.startswith("// "), f"{name}: its first line is replaced, so it must be a comment"
         assert header.text.partition("\n")[2].rstrip() in whole, f"{name}: no native function has its text"
+
+
+@cache
+def _imports(path: Path) -> list[Path]:
+    """The files of the package that a file imports when it is imported."""
+    found = []
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ImportFrom):
+            for name in (node.module, *(f"{node.module}.{each.name}" for each in node.names)):
+                found.append(_ROOT / f"{str(name).replace('.', '/')}.py")
+    return [other for other in found if other.exists()]
+
+
+def _imported(path: Path, found: dict[Path, None]) -> dict[Path, None]:
+    """Those, and what they import, and so on; itself first."""
+    if path not in found:
+        found[path] = None
+        for other in _imports(path):
+            _imported(other, found)
+    return found
+
+
+@cache
+def _given(path: Path) -> tuple[set[str], set[str]]:
+    """Constants that a file gives to headers, and what the names of others begin with."""
+    given = re.findall(r"native\.constants\((.*?)\)\n", path.read_text(), re.S)
+    names = {name for some in given for name in re.findall(r"(\w+)=", some)}
+    return names, {start for some in given for start in re.findall(r'f"(\w+)\{', some)}
+
+
+def test_who_pastes_a_header_imports_what_gives_its_constants() -> None:
+    """Whatever else has been imported: a program may use one pipeline alone."""
+    paste_for_others, pasted = {"native.py", "walker.py", "cone_kernels.py"}, 0
+    for path in sorted((_ROOT / "shadow_tracer" / "gpu").rglob("*.py")):
+        text = path.read_text()
+        named = {name for name in re.findall(r'"([\w/]+\.h)(?:@\d+)?"', text) if name in _HEADERS}
+        if not named or path.name in paste_for_others:
+            continue
+        walks = [name for name in named if name.endswith("/cone_walk.h")]
+        roles = {**native.ROLES, "cone_walk": (walks or [native.ROLES["cone_walk"]])[0]}
+        if "ConeKernels(" in text:
+            named |= {"accelerators/cone_outcome.h", "accelerators/cone_hits.h"}
+        headers = native.closure(tuple(sorted(named)), roles=roles).values()
+        givers = [_given(each) for each in _imported(path, {})]
+        names = {name for some, _ in givers for name in some}
+        several = tuple(start for _, some in givers for start in some)
+        wanted = {name for header in headers for name in header.constants if not name.startswith(several)}
+        assert wanted <= names, (path, wanted - names)
+        pasted += 1
+    assert pasted > 40
 
 
 _HASHES = """
