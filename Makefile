@@ -40,8 +40,8 @@ help: ## this list
 	@echo "make <target>, with PYTHON=<interpreter> to choose the Python that .venv is made with"
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1@\2/p' Makefile | awk -F@ '{ printf "%-12s%s\n", $$1, $$2 }'
 
-demo: $(VENV)/.has-demo ## play a moving scene through the node, pictures into demo_output/; DATA=<folder> plays recorded depth images
-	@$(PY) -m shadow_tracer.apps.demo.demo --node $(if $(DATA),--data "$(DATA)") $(ARGS)
+demo: $(VENV)/.has-demo ## play a moving scene through the node, pictures into demo_output/; DATA=<folder> plays recorded depth images; UV=1 a robot with a UV tube in a room, or in the mesh DATA=<file>
+	@$(PY) -m shadow_tracer.apps.demo.demo $(if $(UV),--uv,--node) $(if $(DATA),--data "$(DATA)") $(ARGS)
 
 test: $(VENV)/.has-test ## all tests of the package, on up to four cores; ARGS="-k name" passes options to pytest, ARGS="-n 0" takes one process
 	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m "not mutant" $(ARGS)

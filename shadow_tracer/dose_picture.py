@@ -41,7 +41,7 @@ def draw(
         raise ImportError("pictures need matplotlib: pip install 'shadow_tracer[dose]'") from error
     colors = colors_of(dose_map.dose, target)
     corners = dose_map.corners @ pose[:3, :3].T + pose[:3, 3]
-    camera = camera or _overview(corners.reshape(-1, 3))
+    camera = camera or overview(corners.reshape(-1, 3))
     image = _image(corners, colors, camera, others, device)
     height, width = image.shape[:2]
     figure = Figure(figsize=(width / 100.0 + 1.6, height / 100.0 + 0.6), dpi=100, layout="constrained")
@@ -86,8 +86,8 @@ def _pale(mesh: Mesh, camera: Camera) -> npt.NDArray[np.uint8]:
     return np.repeat(np.rint(grey)[:, None], 3, axis=1).astype(np.uint8)
 
 
-def _overview(points: FloatArray) -> Camera:
-    """From above, askew, with all points in view."""
+def overview(points: FloatArray, size: tuple[int, int] = _SIZE) -> Camera:
+    """From above, askew, with all points in view; ``size``: width and height [px]."""
     low, high = points.min(axis=0), points.max(axis=0)
     centre, radius = 0.5 * (low + high), 0.5 * float(np.sqrt(((high - low) ** 2).sum()))
     back = np.array([0.45, -0.75, 0.95])
@@ -99,9 +99,9 @@ def _overview(points: FloatArray) -> Camera:
     local = (points - pose[:3, 3]) @ pose[:3, :3]
     flat = local[:, :2] / local[:, 2:]
     low, high = flat.min(axis=0), flat.max(axis=0)
-    focal = 0.94 * float((np.array(_SIZE) / np.maximum(high - low, 1e-9)).min())
-    middle = 0.5 * (np.array(_SIZE) - 1.0) - focal * 0.5 * (low + high)
-    return Camera(*_SIZE, focal, focal, float(middle[0]), float(middle[1]), pose)
+    focal = 0.94 * float((np.array(size) / np.maximum(high - low, 1e-9)).min())
+    middle = 0.5 * (np.array(size) - 1.0) - focal * 0.5 * (low + high)
+    return Camera(*size, focal, focal, float(middle[0]), float(middle[1]), pose)
 
 
 def _title(dose_map: Dosed, target: float | None) -> str:

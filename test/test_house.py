@@ -107,7 +107,12 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
     "apps": ("shadow_tracer.ros", "shadow_tracer.self_test", "shadow_tracer.tracer", _REGISTRY, "shadow_tracer.scene"),
     "apps/bag": ("shadow_tracer.ros", *_BELOW_ROS),
     "apps/terrain": ("shadow_tracer.terrain", "shadow_tracer.scene"),
-    "apps/demo": ("shadow_tracer.ros", "shadow_tracer.depth_camera", *_BELOW_ROS),
+    "apps/demo": (
+        "shadow_tracer.ros",
+        "shadow_tracer.depth_camera",
+        "shadow_tracer.dose_picture",
+        *_BELOW_ROS,
+    ),
     "testing": (
         "shadow_tracer.testing",
         "shadow_tracer.ros.wire.cdr",

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`shadow_tracer demo`: a moving scene lit by three lights, and pictures of the masks.
+"""`shadow_tracer demo`: a moving scene lit by three lights, and pictures of the masks; with --uv a robot with a UV-C
+tube, and the dose of a hospital room.
 
 The library traces in this process, or, with --node, the real node does: it and the publisher run as separate processes
 and talk over ROS topics, and this process only listens. The masks have the same bits.
@@ -85,6 +86,17 @@ def perform(chosen: argparse.Namespace) -> None:
         console.print(f"[yellow]{recording.lost} frames were not answered{because}[/yellow]")
 
 
+def _drive(chosen: argparse.Namespace) -> None:
+    """The robot with the tube. Raises ValueError if an option or the mesh is wrong."""
+    from rich.console import Console
+
+    from shadow_tracer.apps.demo import uv
+
+    console = Console()
+    path = uv.perform(chosen, lambda text: console.print(text, soft_wrap=True, highlight=False))
+    console.print(f"  {path}  [dim]{path.stat().st_size / 1e6:.2f} MB[/dim]", soft_wrap=True, highlight=False)
+
+
 def _through_the_node(chosen: argparse.Namespace, sequence: Sequence, console: Any, what: str) -> Any:
     """The recording of what node and publisher, each in a process, said to each other."""
     from shadow_tracer.apps.demo.recording import Recorder, Report
@@ -150,14 +162,18 @@ def _options() -> argparse.ArgumentParser:
         prog="shadow_tracer demo",
         description="Lights a moving workshop, or recorded depth frames, and saves pictures of it.",
     )
+    parser.add_argument(
+        "--uv", action="store_true",
+        help="a robot with a UV-C tube in a hospital room, or in the mesh --data FILE (z up); its dose as uv.gif",
+    )  # fmt: skip
     parser.add_argument("--node", action="store_true", help="play it through the ROS 2 node over topics, not in here")
     publisher.options(parser)
     parser.add_argument("--output", type=Path, default=Path("demo_output"), metavar="FOLDER", help="where pictures go")
     parser.add_argument(
-        "--animation-height", type=_height, default=360, metavar="PIXELS", help="height of shadows.gif (default: 360)"
+        "--animation-height", type=_height, default=360, metavar="PIXELS", help="height of the GIF (default: 360)"
     )
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda:N (default: auto)")
-    parser.add_argument("--pipeline", default="light_grid", choices=list(pipelines), help="default: light_grid")
+    parser.add_argument("--pipeline", choices=list(pipelines), help="default: light_grid, with --uv bvh")
     variants = sorted({variant for names in pipelines.values() for variant in names})
     parser.add_argument("--variant", default="", choices=["", *variants], help="default: the first of the pipeline")
     return parser
@@ -173,6 +189,10 @@ def _height(text: str) -> int:
 
 def _fill_in(chosen: argparse.Namespace) -> None:
     """Chooses what was left open so that the demo takes less than a minute."""
+    if chosen.uv:
+        chosen.pipeline = chosen.pipeline or "bvh"
+        return
+    chosen.pipeline = chosen.pipeline or "light_grid"
     cuda = chosen.device != "cpu" and Path("/dev/nvidia0").exists()
     chosen.size = chosen.size or (CUDA_SIZE if cuda else CPU_SIZE)
     if chosen.frames is None and chosen.data is None:
@@ -195,7 +215,12 @@ class _Interrupts:
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point: 0 if pictures were made, 1 if not, 2 for a wrong option or missing package, 130 when interrupted."""
-    chosen = _options().parse_args(arguments)
+    parser = _options()
+    chosen = parser.parse_args(arguments)
+    others = {"node": False, "mesh": None, "size": None, "budget": publisher.BUDGET}
+    without = [name for name, default in others.items() if chosen.uv and getattr(chosen, name) != default]
+    if without:
+        parser.error(f"--{without[0]} does not go with --uv")
     _fill_in(chosen)
     if text := missing(chosen.node):
         print(text, file=sys.stderr)
@@ -204,7 +229,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     interrupts = _Interrupts()
     try:
-        perform(chosen)
+        (_drive if chosen.uv else perform)(chosen)
     except KeyboardInterrupt:
         pass
     except ValueError as error:

@@ -77,7 +77,7 @@ def box(size: Sequence[float], colour: Colour, bevel: float = 0.0, centre: Seque
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
     if bevel <= 0:
         sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-        return make(signs * half + centre, quads_to_triangles(sides), colour)
+        return _outwards(make(signs * half, quads_to_triangles(sides), colour)).at(*centre)
     # corner c has three vertices 3c + a: full extent along axis a, drawn in by the bevel along the others
     inset = half - min(bevel, float(half.min()) * 0.98)
     vertices = np.repeat(signs * inset, 3, axis=0)
@@ -94,7 +94,15 @@ def box(size: Sequence[float], colour: Colour, bevel: float = 0.0, centre: Seque
         for low in (0, bit[u], bit[v], bit[u] | bit[v]):  # the edges along this axis
             high = low | bit[axis]
             quads.append((3 * low + u, 3 * high + u, 3 * high + v, 3 * low + v))
-    return make(vertices + centre, np.concatenate([quads_to_triangles(quads), triangles]), colour)
+    return _outwards(make(vertices, np.concatenate([quads_to_triangles(quads), triangles]), colour)).at(*centre)
+
+
+def _outwards(part: Part) -> Part:
+    """A convex part around the origin, with corners counter-clockwise as seen from without."""
+    a, b, c = (part.vertices[part.triangles[:, k]] for k in range(3))
+    inwards = (np.cross(b - a, c - a) * a).sum(axis=1) < 0.0
+    triangles = np.where(inwards[:, None], part.triangles[:, ::-1], part.triangles)
+    return Part(part.vertices, triangles, part.colours)
 
 
 def quads_to_triangles(quads: ArrayLike) -> NDArray[np.int32]:

@@ -36,7 +36,7 @@ CAMERA_FRAME = "camera_optical_frame"
 WORLD_FRAME = "map"
 LOOKAHEAD = 48
 _SPEAKING = threading.Lock()
-LONGEST_BUDGET = 86400.0  # s
+BUDGET, LONGEST_BUDGET = 28.0, 86400.0  # s
 KEPT = 8  # messages a slow listener may lag behind
 
 
@@ -274,7 +274,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, metavar="N", help="number of frames")
     parser.add_argument("--size", type=size, metavar="WxH", help="image size of the workshop's camera")
     text = "leave out frames if playing would take longer; 0 leaves out none (default: 28)"
-    parser.add_argument("--budget", type=budget, default=28.0, metavar="S", help=text)
+    parser.add_argument("--budget", type=budget, default=BUDGET, metavar="S", help=text)
 
 
 def size(text: str) -> tuple[int, int]:
