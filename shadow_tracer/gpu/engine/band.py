@@ -190,7 +190,7 @@ class Band:
     def nbytes(self) -> int:
         """Bytes reserved beyond the buffers, on the device and, for rays that are kept, on the host."""
         own = self._kept.nbytes() if self._kept is not None else 0
-        own += int(self._points.capacity)
+        own += int(self._points.capacity + self._offsets.capacity)
         own += self._waiting.nbytes() if self._waiting is not None else 0
         return self.pipeline.nbytes() + own
 
