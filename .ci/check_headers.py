@@ -83,7 +83,10 @@ def _declarations(name: str, struct: Any, found: dict[str, str]) -> None:
 
 
 def _unit(header: str, lanes: int, structs: dict[str, dict[str, Any]]) -> str:
-    needed = native.closure((f"{header}@{lanes}" if native.read(header).lanes else header,))
+    # A walk for one query alone names that; others are read with the one that plays the role by default.
+    own_query = {query.header for query in queries.ALL} & set(native.read(header).needs)
+    roles = {**native.ROLES, **({"query": own_query.pop()} if own_query else {})}
+    needed = native.closure((f"{header}@{lanes}" if native.read(header).lanes else header,), roles=roles)
     text = (ROOT / ".ci" / "warp_stub.h").read_text()
     declared: dict[str, str] = {}
     for kind in dict.fromkeys(kind for each in needed.values() for kind, _ in each.arguments):

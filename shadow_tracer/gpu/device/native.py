@@ -137,7 +137,8 @@ def paste(headers: dict[tuple[str, int], Header]) -> str:
         KeyError: a constant that no module has given.
     """
     parts = ["#if defined(__clang__)", '#define UNCONTRACTED _Pragma("clang fp contract(off)")']
-    parts += ["#else", "#define UNCONTRACTED", "#endif"]
+    parts += ['#define CONTRACTED _Pragma("clang fp contract(fast)")']
+    parts += ["#else", "#define UNCONTRACTED", "#define CONTRACTED", "#endif"]
     for name in dict.fromkeys(name for header in headers.values() for name in header.constants):
         if name not in _constants:
             raise KeyError(f"{name}: no module that has been imported gives it to headers")
@@ -147,7 +148,7 @@ def paste(headers: dict[tuple[str, int], Header]) -> str:
         parts += [f"#define {macro} {text}" for macro, text in macros.items()] if header.lanes else []
         parts += [_line(f"{_SHOWN}/{name}"), header.text.partition("\n")[2].rstrip()]
         parts += [f"#undef {macro.partition('(')[0]}" for macro in macros] if header.lanes else []
-    return "\n".join([*parts, "#undef UNCONTRACTED"]) + "\n"
+    return "\n".join([*parts, "#undef UNCONTRACTED", "#undef CONTRACTED"]) + "\n"
 
 
 def snippet(*names: str, call: str, otherwise: str = "", roles: Mapping[str, str] = ROLES, cpu: bool = False) -> str:

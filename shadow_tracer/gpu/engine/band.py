@@ -59,6 +59,9 @@ class Band:
         self._points = wp.empty(
             MASK_POINTS if MASK in self.pipeline.traits.queries else 0, dtype=wp.vec4d, device=device
         )
+        self._offsets = wp.empty(
+            3 * MASK_POINTS if len(self._points) and forms.wide(device) else 0, dtype=float, device=device
+        )
         self._waiting = None if forms.wide(device) else WaitingPairs(bounds.max_rays, bounds.queue_capacity, device)
 
     @property
@@ -169,7 +172,10 @@ class Band:
         asked = Mask()
         asked.count, asked.points, asked.every = len(points), self._points, every
         samples.upload(self._points, points)
-        asked.middle, asked.extent = _bundle(points)
+        asked.middle, asked.extent, offsets = _bundle(points)
+        asked.offsets = self._offsets
+        if len(self._offsets):
+            samples.upload(self._offsets, offsets)
         asked.positions, asked.states, asked.seen = samples.positions, samples.states_of(place), samples.seen
         asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
         asked.cull, asked.counters = int(records.front_face_culling), samples.counters
@@ -184,7 +190,7 @@ class Band:
     def nbytes(self) -> int:
         """Bytes reserved beyond the buffers, on the device and, for rays that are kept, on the host."""
         own = self._kept.nbytes() if self._kept is not None else 0
-        own += int(self._points.capacity)
+        own += int(self._points.capacity + self._offsets.capacity)
         own += self._waiting.nbytes() if self._waiting is not None else 0
         return self.pipeline.nbytes() + own
 
@@ -195,7 +201,7 @@ class Band:
         into[:, samples.first : samples.first + samples.count] = states
 
 
-def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d]:
+def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d, npt.NDArray[np.float32]]:
     """Of (P, 4) homogeneous points their middle, and how far they are from there along each axis at most [m]. At
     infinity, a way of length 1, and how far the ends of the others, as long as they reach the plane across its end, are
     from it."""
@@ -209,4 +215,6 @@ def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d]:
         ends = ways / (ways @ middle)[:, None]
     # The middle is off by some roundings.
     extent = np.abs(ends - middle).max(axis=0) * (1.0 + 1e-9) + 1e-14 * np.abs(ends).max()
-    return wp.vec4d(*middle, w), wp.vec3d(*extent)
+    offsets = np.zeros((3, MASK_POINTS), np.float32)
+    offsets[:, : len(ends)] = (ends - middle).T
+    return wp.vec4d(*middle, w), wp.vec3d(*extent), offsets.reshape(-1)

@@ -16,6 +16,9 @@ _ONES = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
 
 def ones_of(bits: Bits) -> Counts:
     """How many bits are set in each number."""
+    if hasattr(np, "bitwise_count"):  # from numpy 2 on
+        counts: Counts = np.bitwise_count(bits).astype(np.uint16)
+        return counts
     octets = np.ascontiguousarray(bits).view(np.uint8).reshape(*bits.shape, 8)
     return _ONES[octets].sum(axis=-1, dtype=np.uint16)
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from shadow_tracer.gpu.device.counters import LARGEST
 from shadow_tracer.gpu.exact.light_frame import INVALID, LIT, OUTSIDE, SHADOWED
-from shadow_tracer.gpu.visibility.light_bits import Counts, Reaching, ones_of
+from shadow_tracer.gpu.visibility.light_bits import Bits, Counts, Reaching, ones_of
 from shadow_tracer.scene.area_lights import MOST_BITS
 from shadow_tracer.scene.lights import AreaLight, HardLight, Light
 
@@ -64,6 +64,7 @@ class _Points:
         self.samples = light.samples
         # A byte of the bits each, for all samples: the bits one by one are set eight times as fast there.
         self._octets = np.zeros((8, count), np.uint8) if light.samples <= MOST_BITS else None
+        self._bits: Bits | None = None  # of all points together, if they have come so
         self._counts: Counts = np.zeros(count if self._octets is None else 0, np.uint16)
 
     def add(self, point: int, lit: npt.NDArray[np.bool_]) -> None:
@@ -78,14 +79,18 @@ class _Points:
         some = slice(first, first + len(seen))
         if self._octets is None:
             self._counts[some] += ones_of(seen)
-        else:
-            self._octets[:, some] = seen.astype("<u8").view(np.uint8).reshape(len(seen), 8).T
+            return
+        if self._bits is None:
+            self._bits = np.zeros(self._octets.shape[1], np.uint64)
+        self._bits[some] = seen
 
     def reaching(self, where: npt.NDArray[np.bool_]) -> Reaching:
         """All together; none reaches but ``where``."""
         if self._octets is None:
             return Reaching(self.samples, None, self._counts * where)
-        bits = np.ascontiguousarray(self._octets.T).view("<u8").reshape(-1).astype(np.uint64, copy=False)
+        bits = self._bits
+        if bits is None:
+            bits = np.ascontiguousarray(self._octets.T).view("<u8").reshape(-1).astype(np.uint64, copy=False)
         bits *= where
         return Reaching(self.samples, bits, ones_of(bits))
 

@@ -19,7 +19,11 @@ struct PointMask1 {
     static inline wp::uint64 bits(Bits x) {
         return __builtin_bit_cast(unsigned char, __builtin_convertvector(x, Bit8s));
     }
-    double x[MOST], y[MOST], z[MOST], length[MOST], far[MOST]; // of the sample that asks
+    double x[MOST], y[MOST], z[MOST], length[MOST], far[MOST]; // of the sample that asks, once they are `known`
+    bool known;
+    // For the walk: places in its structure where points have been hidden from the sample before.
+    enum { KEPT = 8 };
+    int kept[KEPT], keeps;
 #endif
     // To the middle of the light; magnitudes of the way to any point, times the pad; the least and the most length.
     wp::vec3d middle;
@@ -31,7 +35,11 @@ struct PointMask1 {
     wp::int64 rays, tests, nodes, retested, exact;
 
     inline explicit PointMask1(const Asked& asked)
-        : asked(asked), taken(0), hider(-1), open(0), rays(0), tests(0), nodes(0), retested(0), exact(0) {}
+        : asked(asked), taken(0), hider(-1), open(0), rays(0), tests(0), nodes(0), retested(0), exact(0) {
+#if !defined(__CUDA_ARCH__)
+        keeps = 0;
+#endif
+    }
     // Of an image no column: numbers are scattered first (Knuth's multiplicative hash).
     inline bool chosen(int number) const { return (unsigned)number * 2654435761u % (unsigned)asked.every == 0; }
     inline void take(int number) {
@@ -53,6 +61,11 @@ struct PointMask1 {
         const double radius = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
         shortest = length_of_middle - radius, longest = length_of_middle + radius;
 #if !defined(__CUDA_ARCH__)
+        known = false;
+#endif
+    }
+#if !defined(__CUDA_ARCH__)
+    inline void know() {
         const wp::vec4d& p = asked.positions.data[ray[0]];
         for (int k = 0; k < asked.count; ++k) {
             const wp::vec4d& light = asked.points.data[k];
@@ -60,8 +73,30 @@ struct PointMask1 {
             length[k] = sqrt(x[k] * x[k] + y[k] * y[k] + z[k] * z[k]);
             far[k] = MASK_PAD * (fabs(x[k]) + fabs(y[k]) + fabs(z[k]));
         }
-#endif
+        known = true;
     }
+    // Takes in what a filter has found: the points that a triangle surely hides, and those that it may hide, as bits.
+    inline void judged(int triangle, wp::uint64 sure, wp::uint64 maybe) {
+        wp::uint64 hidden = open & maybe;
+        if (!hidden || !casts(triangle))
+            return;
+        for (wp::uint64 left = asked.cull == 0 ? hidden & ~sure : hidden; left; left &= left - 1)
+            if (!hides(lowest(left), triangle))
+                hidden &= ~(left & -left);
+        open &= ~hidden;
+        if (hidden)
+            hider = triangle;
+    }
+    // Meshes that a light ignores have no finite corners while its points are asked about; trees have them all the
+    // same.
+    inline bool casts(int triangle) const {
+        return wp::isfinite(asked.vertices.data[asked.triangles.data[triangle][0]]);
+    }
+    inline bool hides(int k, int triangle) {
+        const wp::vec3i& corner = asked.triangles.data[triangle];
+        return hides(k, asked.vertices.data[corner[0]], asked.vertices.data[corner[1]], asked.vertices.data[corner[2]]);
+    }
+#endif
     // The exact decision about light point number k, and where front faces cast nothing about that.
     inline bool hides(int k, const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) {
         const wp::vec4d light = asked.points.data[k];
@@ -164,6 +199,10 @@ struct PointMask1 {
                         c = asked.vertices.data[corner[2]];
         if (!wp::isfinite(a) || !wp::isfinite(b) || !wp::isfinite(c))
             return false;
+#if !defined(__CUDA_ARCH__)
+        if (!known)
+            know();
+#endif
         const wp::vec4d& at = asked.positions.data[ray[0]];
         const Sides sides(wp::vec3d(at[0], at[1], at[2]), a, b, c);
         const int answer = together(sides, at[3], asked.middle[3]);

@@ -14,6 +14,7 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.exact import mask_filter
 from shadow_tracer.gpu.exact.camera_records import CameraRays, CameraTriangles
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.visibility.answers import Answers
@@ -51,7 +52,7 @@ class AnyHit:
 ANY_HIT = Query("visibility/any_hit.h", AnyHit)
 
 # Points of a light that a mask has bits for.
-MASK_POINTS = 64
+MASK_POINTS = mask_filter.POINTS
 # In units of the sum of the magnitudes that a determinant's terms are products of. Coordinates relative to the sample
 # are within u of exact, u = 2^-53, and so each of the six products of three is within 3 u, and the three sums and
 # products that make the determinant of them round five times more: 8 u and second orders, 9e-16. For the plane of the
@@ -68,6 +69,7 @@ class Mask:
     points: wp.array(dtype=wp.vec4d)
     middle: wp.vec4d  # of a box that holds them, and its half size along each axis [m]
     extent: wp.vec3d
+    offsets: wp.array(dtype=float)  # of the points from the middle, along x, y and z; for the CPU
     positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
     states: wp.array(dtype=wp.uint8)  # those that are LIT or SHADOWED ask
     every: int  # and of them one in so many

@@ -1,5 +1,5 @@
 // cpu
-// needs: query accelerators/segment.h accelerators/bvh/block.h accelerators/bvh/slabs.h@16 accelerators/bvh/bundle.h@16
+// needs: query accelerators/segment.h accelerators/bvh/block.h accelerators/bvh/slabs.h@16
 // constants: TREE_LANES TREE_NONE BLOCK_ROWS BLOCK_BAND LEVELS
 // arguments: Tree structure
 // lanes
@@ -38,9 +38,6 @@ struct WIDE(Descent) {
         float waiting[DEPTH]; // where the ray enters
         int links[DEPTH];
         int top = 1;
-#if LANES == 1
-        const BundleSides sides(query, *segment, tree.box);
-#endif
         links[0] = 0;
         waiting[0] = 0.0f;
         while (top) {
@@ -62,23 +59,11 @@ struct WIDE(Descent) {
             const Real16* bounds = (const Real16*)(tree.bounds.data + 6 * TREE_LANES * (size_t)link);
             const int* children = tree.links.data + TREE_LANES * (size_t)link;
             float in[TREE_LANES];
-            int met;
-#if LANES == 1
-            if (Query1::SPREADS) {
-                Bundle16 bundle;
-                bundle.enter(bounds, bounds + 3, sides, longest);
-                Lanes16::store(in, bundle.in);
-                met = bundle.met;
-            } else
-#endif
-            {
-                Slabs16 slabs;
-                slabs.enter(bounds, bounds + 3, above, below, inverse, longest);
-                Lanes16::store(in, slabs.in);
-                met = slabs.met;
-            }
+            Slabs16 slabs;
+            slabs.enter(bounds, bounds + 3, above, below, inverse, longest);
+            Lanes16::store(in, slabs.in);
             const int bottom = top;
-            for (; met; met &= met - 1) {
+            for (int met = slabs.met; met; met &= met - 1) {
                 const int k = __builtin_ctz(met), child = children[k];
                 if (child == TREE_NONE)
                     continue;

@@ -1,7 +1,7 @@
 // cpu
 // needs: query accelerators/segment.h accelerators/bvh/descent.h
 // arguments: Tree structure
-// One ray, or bundle of rays to the points of a light, through the tree with sixteen children per node.
+// One ray through the tree with sixteen children per node.
 struct Walk1 {
     static inline void walk(const Tree& tree, Query1& query) {
         Segment segment;
@@ -11,12 +11,7 @@ struct Walk1 {
         if (place != Segment::MEETS)
             return;
         segment.shorten(query, tree.box);
-        float beside = 0.0f; // of a point, along all axes together
-        for (int k = 0; k < 3; ++k) {
-            const float most = segment.above[k] - segment.origin[k];
-            beside += most * most;
-        }
-        Descent1 descent(tree, segment.origin, segment.direction, segment.longest, sqrtf(beside));
+        Descent1 descent(tree, segment.origin, segment.direction, segment.longest, 0.0f);
         descent.go(query, &segment, Descent1::NO_END);
     }
 };

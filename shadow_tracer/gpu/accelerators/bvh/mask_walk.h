@@ -1,0 +1,101 @@
+// cpu
+// needs: visibility/mask.h accelerators/segment.h accelerators/bvh/bundle.h@16 exact/mask_filter.h
+// constants: TREE_LANES TREE_NONE BLOCK_ROWS LEVELS
+// arguments: Tree structure
+// A sample, and all points of a light, through the tree with sixteen children per node.
+struct Walk1 {
+    // Of each level at most all children but one wait.
+    enum { DEPTH = TREE_LANES * (LEVELS + 1) };
+    MaskFilter filter;
+    const Tree& tree;
+    float longest;
+    const BundleSides sides;
+    bool looks; // whether the filter can be used
+
+    inline Walk1(const Tree& tree, const Segment& segment, const Query1& query)
+        : tree(tree), longest(segment.longest), sides(query, segment, tree.box) {
+        const wp::vec4d& sample = query.sample();
+        double from_center[3];
+        for (int k = 0; k < 3; ++k)
+            from_center[k] = (sample[k] - tree.box.center[k]) * tree.box.inverse_extent;
+        looks = filter.look(from_center, query.middle, query.spread(), query.shortest, query.longest, sample[3],
+                            tree.box.inverse_extent, query.light()[3] == 0.0);
+    }
+    // Shows a triangle; true if no point is seen any more.
+    inline bool triangle(int number, int lane, Query1& query) const {
+        if (!(filter.told >> lane & 1))
+            return query.visit(number);
+        ++query.tests;
+        wp::uint64 sure = ~(wp::uint64)0, maybe = sure;
+        if (!(filter.all >> lane & 1))
+            filter.points(lane, query.asked.offsets.data, sure, maybe);
+        query.judged(number, sure, maybe);
+        return query.open == 0;
+    }
+    // Shows a block; true if no point is seen any more.
+    inline bool block(int number, Query1& query) {
+        const int* members = tree.members.data + TREE_LANES * (size_t)number;
+        if (looks)
+            filter.judge(tree.rows.data + BLOCK_ROWS * TREE_LANES * (size_t)number);
+        else
+            filter.may = Lanes16::ALL, filter.all = filter.told = 0;
+        for (int left = filter.may; left; left &= left - 1) {
+            const int lane = __builtin_ctz(left);
+            if (members[lane] >= 0 && members[lane] < query.triangle_count() && triangle(members[lane], lane, query))
+                return true;
+        }
+        return false;
+    }
+    // Shows a block, and keeps it for the next sample if it hides points from this one; true if none is seen any more.
+    inline bool ask(int number, Query1& query) {
+        const wp::uint64 before = query.open;
+        ++query.nodes;
+        const bool done = block(number, query);
+        if (query.open != before && query.keeps < Query1::KEPT)
+            query.kept[query.keeps++] = number;
+        return done;
+    }
+    inline void descend(Query1& query) {
+        // What hid points from the sample before mostly hides some from this one.
+        int asked[Query1::KEPT];
+        const int first = query.keeps;
+        query.keeps = 0;
+        for (int k = 0; k < first; ++k)
+            asked[k] = query.kept[k];
+        for (int k = 0; k < first; ++k)
+            if (ask(asked[k], query))
+                return;
+        int links[DEPTH];
+        int top = 1;
+        links[0] = 0;
+        while (top) {
+            const int link = links[--top];
+            if (link < 0) {
+                bool again = false;
+                for (int k = 0; k < first; ++k)
+                    again |= asked[k] == ~link;
+                if (!again && ask(~link, query))
+                    return;
+                continue;
+            }
+            ++query.nodes;
+            const Real16* bounds = (const Real16*)(tree.bounds.data + 6 * TREE_LANES * (size_t)link);
+            const int* children = tree.links.data + TREE_LANES * (size_t)link;
+            Bundle16 bundle;
+            bundle.enter(bounds, bounds + 3, sides, longest);
+            for (int met = bundle.met; met; met &= met - 1) {
+                const int child = children[__builtin_ctz(met)];
+                if (child != TREE_NONE)
+                    links[top++] = child;
+            }
+        }
+    }
+    static inline void walk(const Tree& tree, Query1& query) {
+        Segment segment;
+        const int place = segment.place(query, tree.box);
+        if (place == Segment::TOO_FAR)
+            query.everything();
+        if (place == Segment::MEETS)
+            Walk1(tree, segment, query).descend(query);
+    }
+};
