@@ -251,6 +251,22 @@ def test_a_hint_changes_no_answer(any_device: str) -> None:
         assert budget or (np.bincount(whole, minlength=3) > 10).all()
 
 
+def test_a_budget_is_spent_without_hints(any_device: str) -> None:
+    """Cones through rubble need more than those beside it, though one triangle behind hides both."""
+    tracer = _tracer(any_device)
+    tracer.scene.put("rubble", *geometry.soup(np.random.default_rng(512), 300, 0.2, 0.3))
+    tracer.scene.put("wall", [(-9, -9, 1.5), (9, -9, 1.5), (0, 9, 1.5)], [(0, 1, 2)])
+    apices = np.tile([(-3.0, -2.0, 0.0), (0.0, 0.0, -1.0)], (8, 1))
+    ends, unlike = apices + [0.0, 0.0, 4.0], 0
+    for budget in range(1, 40):
+        found = tracer.cones(apices, ends, 0.2, budget=budget)
+        for place in (0, 1):
+            alone = tracer.cones(apices[place], ends[place], 0.2, budget=budget)
+            assert (found[place::2] == alone).all(), budget
+        unlike += found[0] == _BLOCKED and found[1] == _PARTLY
+    assert unlike > 1 and (tracer.cones(apices, ends, 0.2) == _BLOCKED).all()
+
+
 def test_a_sheet_hides_whatever_else_is_there(any_device: str) -> None:
     """Before it or behind it; of up to 128 triangles."""
     tracer = _tracer(any_device)

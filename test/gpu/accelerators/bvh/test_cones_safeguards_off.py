@@ -92,7 +92,7 @@ _MUTANTS: dict[str, tuple[str, str, Change]] = {
         "beside_rays",
         (_OUTCOME, "        return axis;", "        return true;"),
     ),
-    "hints with a budget": (_OUTCOMES, "hint", (_OUTCOME, "asked.budget < NO_BUDGET ? -1 : hint", "hint")),
+    "hints with a budget": (_OUTCOMES, "without_hints", (_OUTCOME, "asked.budget < NO_BUDGET ? -1 : hint", "hint")),
     "sixteen boxes by the axis alone": (
         _OUTCOMES,
         "beside_rays",
