@@ -97,7 +97,9 @@ def _unit(header: str, lanes: int, structs: dict[str, dict[str, Any]]) -> str:
             struct = next(query.asked for query in queries.ALL if query.header in {name for name, _ in needed})
         else:
             rooms = structs[kind]
-            struct = rooms.get(str(Path(header).parent), next(iter(rooms.values())))
+            # That of its room, or of the room of what plays a role in it.
+            near = [str(Path(name).parent) for name in (header, *(name for name, _ in needed))]
+            struct = next((rooms[room] for room in near if room in rooms), next(iter(rooms.values())))
         own = wp._src.codegen.Var.type_to_ctype(struct)
         if own in declared:
             declared[kind] = f"typedef {own} {kind};\n"
