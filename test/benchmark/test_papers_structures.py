@@ -16,6 +16,7 @@ from shadow_tracer import available_pipelines
 _ELSEWHERE = {
     "auto/measured",  # one of the others
     "height_field/pyramid",  # of meshes mesh_bvh
+    "geometry_image/threaded",  # the same; papers_geometry_image.py
     "brute_force/float64",
     "mesh_bvh/rebuild",
     "mesh_bvh/binary",
