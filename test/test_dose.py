@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 import csv
+import gc
 import math
+import re
 import sys
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +18,10 @@ import numpy as np
 import pytest
 from interrupts import Ring, Steps
 
+import shadow_tracer
 from shadow_tracer import (
     DoseMap,
+    Frame,
     IntensityTable,
     PointLight,
     RectangleLight,
@@ -130,8 +135,12 @@ def test_ten_seconds_twice_are_twenty_once(reference: ShadowTracer) -> None:
     put_scene(reference)
     once, twice = DoseMap(reference, "table", 0.2), DoseMap(reference, "table", 0.2)
     once.add(LIGHTS, 20.0)
-    for _ in range(2):
-        twice.add(LIGHTS, 10.0)
+    twice.add(LIGHTS, 10.0)
+    there = reference.scene["robot"].pose
+    reference.scene.move("robot", at(5.0, 5.0, 0.0))  # and back again
+    twice.add(LIGHTS, 0.0)
+    reference.scene.move("robot", there)
+    twice.add(LIGHTS, 10.0)
     assert np.array_equal(once.dose, twice.dose) and np.array_equal(once.seconds_lit, twice.seconds_lit)
 
 
@@ -230,8 +239,19 @@ def test_a_million_samples_and_a_thousand_adds_scaled_down(reference: ShadowTrac
     dose_map.add([POINT], 0.1)
     one = dose_map.dose.copy()
     held = {name: len(value) for name, value in vars(dose_map).items() if hasattr(value, "__len__")}
-    for _ in range(999):
+    for _ in range(299):
         dose_map.add([POINT], 0.1)
+    tracemalloc.start()
+    for _ in range(200):
+        dose_map.add([POINT], 0.1)
+    gc.collect()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(500):
+        dose_map.add([POINT], 0.1)
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 500 * len(dose_map), "an array that is kept would be eight bytes a texel and exposure"
     assert (np.abs(dose_map.dose / (1000.0 * one) - 1.0) <= 1000 * 2.0**-53).all()
     assert {name: len(value) for name, value in vars(dose_map).items() if hasattr(value, "__len__")} == held
     assert abs(dose_map.seconds - 100.0) <= 1000 * 2.0**-53 * 100.0
@@ -473,6 +493,45 @@ def test_a_picture_shows_the_three_colours(reference: ShadowTracer, tmp_path: Pa
         assert (pixels == color).all(axis=-1).sum() > 500
     with pytest.raises(ValueError, match="target: expected a positive dose"):
         made.picture(tmp_path / "dose.png", target=-1.0)
+
+
+def test_legends_have_units(reference: ShadowTracer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figure = pytest.importorskip("matplotlib.figure").Figure
+    drawn: list[Any] = []
+    monkeypatch.setattr(figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    expose(reference).picture(tmp_path / "dose.png", target=2.0)
+    axes, bar = drawn[0].axes
+    assert bar.get_ylabel() == "dose [J/m²]"
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["at least 2 J/m²", "never reached"]
+    assert re.fullmatch(r"table: .* % of .* m² has 2 J/m² \(0.2 mJ/cm²\) after .* s", axes.get_title())
+
+
+@pytest.mark.parametrize(
+    ("where", "names", "unit"),
+    [
+        (DoseMap, ("dose", "coverage", "remaining", "add"), ("J/m2", "[s]", "seconds")),
+        (DoseMap, ("irradiance", "irradiance_by"), ("W/m2",)),
+        (DoseMap, ("area",), ("m2",)),
+        (DoseMap, ("seconds", "seconds_lit"), ("[s]",)),
+        (Frame, ("irradiance",), ("W/m2",)),
+        (ShadowTracer, ("irradiance",), ("W/m2",)),
+        (shadow_tracer, ("irradiance_matrix",), ("W/m2",)),
+        (shadow_tracer, ("plan_positions", "Plan"), ("J/m2",)),
+        (shadow_tracer, ("Strength",), ("[W]", "[W/sr]", "[W/m2]")),
+        (shadow_tracer, ("IntensityTable",), ("W/sr", "rad")),
+    ],
+)
+def test_docstrings_have_units(where: Any, names: tuple[str, ...], unit: tuple[str, ...]) -> None:
+    for name in names:
+        text = getattr(where, name).__doc__
+        assert any(each in text for each in unit) if where is DoseMap else all(each in text for each in unit), name
+
+
+def test_no_message_says_lux_of_what_is_no_light_for_eyes() -> None:
+    """W/m2 and lx are not the same; there is a message for illuminance, and it is not the one."""
+    package = Path(shadow_tracer.__file__).parent
+    told = "\n".join(path.read_text(encoding="utf-8") for path in package.rglob("*.py"))
+    assert "Illuminance" not in told and "[lx]" not in told
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps meshes that a light ignores apart from those of other lights, taken out piece by piece: their tests must
-see it."""
+"""What keeps meshes that a light ignores, or that cast no shadows, apart from others, taken out piece by piece: their
+tests must see it."""
 
 from __future__ import annotations
 
@@ -33,8 +33,48 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
 }
 
 
+# Of meshes that cast nothing in any light.
+_SILENT: dict[str, tuple[str, list[Change]]] = {
+    "they are occluders as well": (
+        "frames_between and brute",
+        [
+            (
+                "occluders/world.py",
+                "scene.occluders if isinstance(scene, Scene) and not self._ordered else scene",
+                "scene",
+            )
+        ],
+    ),
+    "depth cameras do not see them": (
+        "is_seen",
+        [("occluders/world.py", "isinstance(scene, Scene) and not self._ordered", "isinstance(scene, Scene)")],
+    ),
+    "which they are is found once": (
+        "frames_between and brute",
+        [
+            (
+                "../scene/mesh.py",
+                "self._occluders is None or self._occluders.revision != self._revision",
+                "self._occluders is None",
+            )
+        ],
+    ),
+    "numbers are counted through the others": (
+        "cones_pass",
+        [("../scene/some.py", "numbers - self._own[mesh] + self._whole[mesh]", "numbers")],
+    ),
+}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("mutant", _MUTANTS)
 def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels: Path) -> None:
     some, changes = _MUTANTS[mutant]
     assert failing_tests(changes, "../test_ignored_meshes.py", some, tmp_path, kernels, first=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mutant", _SILENT)
+def test_without_a_safeguard_what_casts_nothing_is_seen_to(mutant: str, tmp_path: Path, kernels: Path) -> None:
+    some, changes = _SILENT[mutant]
+    assert failing_tests(changes, "../test_cast_shadows.py", some, tmp_path, kernels, first=True)
