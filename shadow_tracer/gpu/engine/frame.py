@@ -212,8 +212,9 @@ class FrameTracer:
             self._choose(self._sync(scene), len(points), lights)
             bands = self._working(len(points))
             working = _deal(bands, even_bands(len(points), len(bands)), 0)
-            self._samples.put_points(self._sets(working), points, bias, valid)
-        self._anchor = points_anchor(points, valid, bias, self._anchor)
+            before, self._anchor = self._anchor, None  # that of samples that are there, or none
+            known = self._samples.put_points(self._sets(working), points, bias, valid)
+        self._anchor = before if known and before else points_anchor(points, valid, bias, before)
         return self._trace_all(working, lights, None)
 
     def _begin_frame(self, cull: bool) -> None:

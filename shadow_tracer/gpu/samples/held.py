@@ -12,6 +12,7 @@ import warp as wp
 
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.samples.pinhole import make_pinhole
+from shadow_tracer.gpu.samples.same_points import same_points
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.camera import Camera, RayTable
@@ -85,12 +86,13 @@ class Samples:
         points: FloatArray,
         bias: float,
         valid: npt.NDArray[np.bool_] | None,
-    ) -> None:
-        """(N, 3) points, those that are not ``valid`` are none; the depth image stays."""
+    ) -> bool:
+        """(N, 3) points, those that are not ``valid`` are none; the depth image stays. Whether they were there, all as
+        they are now."""
         parts = _parts_of(frames)
         good = (np.ones(len(points), np.bool_) if valid is None else valid).view(np.uint8)
         if self._compare and self._source == (("points", bias), parts) and _are_there(parts, points, good):
-            return
+            return True
         self._source = None
         for frame, first, size in parts:
             frame.renew()
@@ -102,6 +104,7 @@ class Samples:
                 frame.upload(frame.positions, rows)
             frame.upload(frame.valid, good[first : first + size])
         self._source = ("points", bias), parts
+        return False
 
     def holds(self, depth: np.ndarray) -> bool:
         """Whether ``depth`` is, bit for bit, the depth image that came last, whatever points have come since. Waits
@@ -130,11 +133,11 @@ def _parts_of(frames: Sequence[SampleSet]) -> Parts:
 
 
 def _are_there(parts: Parts, points: FloatArray, good: npt.NDArray[np.uint8]) -> bool:
-    pairs = []
-    for frame, first, size in parts:
-        pairs.append((frame.positions.numpy()[:size, :3], points[first : first + size]))
-        pairs.append((frame.valid.numpy()[:size], good[first : first + size]))
-    return _equal(pairs)
+    points, good = np.ascontiguousarray(points), np.ascontiguousarray(good)
+    return all(
+        same_points(points[first : first + size], good[first : first + size], frame.positions, frame.valid)
+        for frame, first, size in parts
+    )
 
 
 def _equal(pairs: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]) -> bool:

@@ -56,13 +56,23 @@ struct Profile {
             side = now;
         return true;
     }
-    // What the bounds on a line say.
-    inline int bounded(const float* bounds, int line) const {
+    // The bounds on a line of the band that the ray is in; null where that is beside the surface.
+    inline const float* band(const float* bounds, int line) const {
         const int place = (int)floor(v - sweep.drift * x) - (int)floor(-(sweep.drift * line));
-        if (place < 0 || place >= sweep.across)
+        return place < 0 || place >= sweep.across ? nullptr : bounds + (size_t)line * sweep.pitch + place;
+    }
+    // Whether nothing on the line that it comes from, or beyond it, is as high as the ray.
+    inline bool over_all(const float* bounds) const {
+        const int line = (int)floor(x);
+        const float* here = band(bounds, line);
+        return here && y - sweep.rise * x > here[0] + sweep.pad;
+    }
+    // What the bounds on a line say, where the ray is now.
+    inline int bounded(const float* bounds, int line) const {
+        const float* here = band(bounds, line);
+        if (!here)
             return UNDECIDED;
         const size_t plane = (size_t)sweep.lines * sweep.pitch;
-        const float* here = bounds + (size_t)line * sweep.pitch + place;
         const double level = y - sweep.rise * line;
         if (clear && level > here[0] + sweep.pad)
             return LIT;
@@ -128,6 +138,8 @@ struct Profile {
         y = q.h;
         if (!inside())
             return UNDECIDED;
+        if (over_all(bounds))
+            return LIT;
         bool corner = row == floor(row) && column == floor(column);
         if (corner) {
             const wp::vec3d& p = vertices[chart.first_vertex + (int)row * chart.columns + (int)column];

@@ -32,7 +32,7 @@ struct WIDE(Sweeper) {
         const size_t plane = (size_t)sweep.lines * sweep.pitch;
         for (int line = sweep.lines - 1; line >= 0; --line) {
             const int place = band - (int)floor(-(sweep.drift * line));
-            if (place >= sweep.across || place + LANES <= 0)
+            if (place > sweep.across || place + LANES < 0) // what only touches the border, as rounded, counts
                 continue;
             const double here = band + sweep.drift * line, next = band + sweep.drift * (line + 1);
             const float risen = (float)(sweep.rise * line), risen_next = (float)(sweep.rise * (line + 1));
@@ -68,7 +68,8 @@ struct WIDE(Sweeper) {
     }
     static inline void store(const Sweep& sweep, float* to, int place, REAL values) {
 #if LANES == 1
-        to[place] = values;
+        if (place >= 0 && place < sweep.across)
+            to[place] = values;
 #else
         if (place >= 0 && place + LANES <= sweep.across) {
             Lanes::store(to + place, values);

@@ -21,7 +21,9 @@ ends holds between them. It is *clear* as long as it has been above the surface 
 is said:
 
 1. *Lit*, if it is clear up to a line and its level is above *hides* there; or clear until it leaves the surface. None
-   of it meets the surface: not before the line, as it is clear, and not after.
+   of it meets the surface: not before the line, as it is clear, and not after. At once, if its level is above *hides*
+   on the line where it begins, or the last one before: nothing of it is before that line. Half of all samples close to
+   the ground are told so where the sun is high.
 2. *Hidden*, if it is certainly above the surface at one of those places, and certainly below it at a later one, or the
    other way round, with whole quads between: within a strip, or by *above* or *below*. Then it meets the surface in
    between: take the last point where it is not yet on the other side, and the triangle that it is over right after it.
@@ -56,6 +58,8 @@ heights differ by is counted above; but there may be no quads. So quads are call
 nearer to the ray, or to the band, than 2^-20. For the same reason a ray that leaves the surface across its border is
 lit only if it drifts away from it by half a place each line: then it has left 2^-25.4 lines later, where it is lower
 by less than 2^-7, surface and rise taken together, than where it was compared.
+Nor does a band leave the surface as soon as it is beside it: up to a place beyond the border it counts what lies there,
+so that a ray along the border, whose drift is nothing but rounding, does not lose what is in its way.
 
 Levels in the bounds are float32: heights and rises of up to 2^16 + abs(rise) * lines, rounded twice, by less than 2^-23
 of that; ``pad`` is 2^-22 of it. The other half holds what heights are off, 2^-8, and abs(rise) * 2^-26.4 of what is

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether points are those that a set of samples holds: compared where both are, on the CPU."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from shadow_tracer.scene.checks import FloatArray
+
+_BLOCK = wp.constant(1024)
+
+
+@wp.kernel(enable_backward=False)
+def compare_points(
+    points: wp.array(dtype=wp.vec3d), good: wp.array(dtype=wp.uint8), held: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8), different: wp.array(dtype=int),
+):  # fmt: skip
+    """``different[0]`` becomes 1 where a coordinate or a mark of a block is another one; NaN is."""
+    begin = wp.tid() * _BLOCK
+    for i in range(begin, wp.min(begin + _BLOCK, points.shape[0])):
+        p = points[i]
+        q = held[i]
+        if not (p[0] == q[0] and p[1] == q[1] and p[2] == q[2]) or good[i] != valid[i]:
+            different[0] = 1
+
+
+def same_points(points: FloatArray, good: npt.NDArray[np.uint8], held: wp.array, valid: wp.array) -> bool:
+    """Whether a set that holds ``held`` and ``valid`` on the CPU holds these points, (N, 3) in C order, and marks."""
+    count, device = len(points), held.device
+    # Other points mostly differ in any few of them: only then all are read.
+    few = np.s_[:count:997]
+    if not (np.array_equal(held.numpy()[few, :3], points[few]) and np.array_equal(valid.numpy()[few], good[few])):
+        return False
+
+    def there(array: npt.NDArray[Any], kind: Any) -> wp.array:
+        return wp.array(ptr=array.ctypes.data, dtype=kind, shape=(count,), device=device)
+
+    different = wp.zeros(1, dtype=int, device=device)
+    inputs = [there(points, wp.vec3d), there(good, wp.uint8), held, valid, different]
+    wp.launch(compare_points, dim=-(-count // int(_BLOCK)), inputs=inputs, device=device)
+    return not different.numpy()[0]
