@@ -267,6 +267,18 @@ def test_a_budget_is_spent_without_hints(any_device: str) -> None:
     assert unlike > 1 and (tracer.cones(apices, ends, 0.2) == _BLOCKED).all()
 
 
+@pytest.mark.parametrize("pipeline", ["bvh", "kd_tree", "brute_force"])
+def test_a_budget_counts_the_triangles_of_a_sheet(any_device: str, pipeline: str) -> None:
+    """A wall of many small triangles hides a cone as a sheet, all of which must be looked at that the cone meets."""
+    tracer = _tracer(any_device, pipeline)
+    vertices, triangles = _plate(28, 1.0)
+    tracer.scene.put("wall", vertices, triangles)
+    axis = np.array([0.013, 0.021, 2.0])
+    met = np.linalg.norm((vertices[triangles].mean(axis=1) - axis / 2.0)[:, :2], axis=1) < 0.4
+    needed = next(budget for budget in range(1, 3000) if tracer.cones((0, 0, 0), axis, 0.8, budget=budget) == _BLOCKED)
+    assert 20 < met.sum() <= needed
+
+
 def test_a_sheet_hides_whatever_else_is_there(any_device: str) -> None:
     """Before it or behind it; of up to 128 triangles."""
     tracer = _tracer(any_device)

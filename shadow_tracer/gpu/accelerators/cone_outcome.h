@@ -53,13 +53,15 @@ struct ConeOutcome {
     inline bool on_axis(const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) const {
         return Decision::of(apex, end, a, b, c) & 1;
     }
-    // Whether a sheet that begins with a triangle certainly hides all.
-    inline bool hidden_by_sheet(int first) const {
+    // Whether a sheet that begins with a triangle certainly hides all. What is looked at for that comes off the budget.
+    inline bool hidden_by_sheet(ConeWalk& walk, int first) const {
         Sheet sheet;
         sheet.count = 0;
         sheet.add(first, Sheet::NONE);
         bool axis = false;
         for (int k = 0; k < sheet.count; ++k) {
+            if (k > 0 && --walk.budget < walk.spent)
+                return false;
             const int triangle = sheet.members[k] / Sheet::REACHED, from = sheet.members[k] % Sheet::REACHED;
             const wp::vec3i& corners = scene.triangles.data[triangle];
             const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
@@ -80,7 +82,7 @@ struct ConeOutcome {
         return axis;
     }
     // Whether a triangle certainly hides all, alone or with those that go on from it.
-    inline bool hidden_by(int triangle, bool alone) const {
+    inline bool hidden_by(ConeWalk& walk, int triangle, bool alone) const {
         const wp::vec3i& corners = scene.triangles.data[triangle];
         const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
         if (!Cone::finite(p, q, r))
@@ -92,7 +94,7 @@ struct ConeOutcome {
             if (cone.covered_by(a, b, c, cone.plane(a, b, c)))
                 return true;
         }
-        return hidden_by_sheet(triangle);
+        return hidden_by_sheet(walk, triangle);
     }
     inline bool misses(int triangle, bool near_by) const {
         const wp::vec3i& corners = scene.triangles.data[triangle];
@@ -117,7 +119,7 @@ struct ConeOutcome {
             if (unknown && misses(triangle, false))
                 continue;
             // One place for this: what it takes is much.
-            if ((guessed || walk.through_it) && hidden_by(triangle, guessed || walk.covers_it)) {
+            if ((guessed || walk.through_it) && hidden_by(walk, triangle, guessed || walk.covers_it)) {
                 hint = triangle;
                 return CONE_BLOCKED;
             }
