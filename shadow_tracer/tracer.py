@@ -49,7 +49,7 @@ class ShadowTracer(PointAnswers, ConeAnswers):
             device cannot record (it has no memory pools), or a recording fails, kernels are launched one by one.
         threads: how many cores of the CPU a frame may keep busy, where the pipeline allows it (``light_buffer``,
             ``ray_classification``, ``light_grid/spherical`` and the variants of the paper in ``cone_hierarchy`` use
-            one); None is all that this process may use, at most 8.
+            one); and how many answer about cones. None is all that this process may use, at most 8.
 
     Raises:
         ValueError: an unknown name, the message lists the known ones; or ``front_face_culling`` is not a bool.
