@@ -19,9 +19,9 @@ Mutant = tuple[str, str, list[Change]]
 _ROUNDS: list[dict[str, Mutant]] = [
     {
         "kd_tree": (
-            "boxes without padding",
+            "boxes with next to no padding",  # without any width they would be in no child at all
             "tiny or planes",
-            [("accelerators/segment.py", "padding = wp.float64(PADDING)", "padding = wp.float64(0.0)")],
+            [("accelerators/segment.py", "padding = wp.float64(PADDING)", "padding = wp.float64(0.02 * PADDING)")],
         ),
         # Not the octree: a box without any width in the middle of a cell would be in none of its octants.
         "bsp": ("parts without a pad", "meet_in_a_point", [(_BSP_SPLITS, "PAD = 1e-14", "PAD = 0.0")]),
