@@ -30,9 +30,6 @@ PILOT, WORTH = 256, 8
 # 0.1 us in a bundle; a ray to a single point 0.15 to 0.3 us, with what is made of the triangles for that point (BART
 # robots, Sponza).
 MOST_SHOWN = 2.0
-# A point that is decided exactly takes as long as so many triangles: where points of a light lie in the planes of
-# triangles, there are many.
-RETEST = 10
 
 Run = Callable[[Sequence[Job]], None]
 _Found = TypeVar("_Found")
@@ -109,8 +106,7 @@ def _is_bundle(run: Run, working: Sequence[Band], place: int, points: FloatArray
     for counts in _each(run, working, Band.try_out, place, points, count // PILOT):
         spent = _plus(counts, spent)
     rays = spent.pop("rays", 0)  # they are asked again
-    shown = spent.get("leaf_tests", 0) + RETEST * spent.get("retested", 0)
-    return shown <= MOST_SHOWN * rays, spent
+    return spent.get("leaf_tests", 0) <= MOST_SHOWN * rays, spent
 
 
 def _plus(counters: dict[str, int], more: dict[str, int]) -> dict[str, int]:
