@@ -102,15 +102,12 @@ class Traits:
             ``TriangleRecords.plan`` has said.
         keeps_rays: whether what it makes of the rays of a pass can be used again, see ``Rays.again``.
         queries: what it can be asked (``visibility/queries.py``).
-        pace: how many times as many triangles as ``mesh_bvh`` it may show to all points of a light before rays one by
-            one take less time.
     """
 
     lights_at_once: int = 1
     recordable: bool = False
     keeps_rays: bool = False
     queries: tuple[Query, ...] = (ANY_HIT,)
-    pace: float = 1.0
 
 
 class Accelerator:

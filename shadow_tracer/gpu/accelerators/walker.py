@@ -112,14 +112,12 @@ class Build:
         queries: what the pipeline is asked; a walk may be able to answer more.
         cones: how cones go through the structure, None if they cannot.
         structure: what they walk through, None if there is nothing; made by ``build``.
-        pace: see ``Traits``.
     """
 
     walk: Walk
     queries: tuple[Query, ...] = (ANY_HIT,)
     cones: ConeKernels | None = None
     structure: Any = None
-    pace: float = 1.0
 
     def __init__(self, variant: str, scene: SceneBuffers) -> None:
         self._scene = scene
@@ -169,7 +167,7 @@ class Walker(Accelerator):
 
     def __init__(self, build: Build, context: Context) -> None:
         self.build = build
-        self.traits = Traits(queries=build.queries, pace=build.pace)
+        self.traits = Traits(queries=build.queries)
         self._context = context
 
     def follow(self) -> None:

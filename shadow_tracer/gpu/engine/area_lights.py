@@ -26,7 +26,7 @@ from shadow_tracer.scene.lights import HardLight, Light
 
 # Samples that try a bundle out; fewer than so many times as many samples in all go without.
 PILOT, WORTH = 256, 8
-# Triangles that a sample may be shown for each point of the light, times ``Traits.pace``. With mesh_bvh each takes
+# Triangles that a sample may be shown for each point of the light. With mesh_bvh each takes
 # 0.1 us in a bundle; a ray to a single point 0.15 to 0.3 us, with what is made of the triangles for that point (BART
 # robots, Sponza).
 MOST_SHOWN = 2.0
@@ -106,8 +106,7 @@ def _is_bundle(run: Run, working: Sequence[Band], place: int, points: FloatArray
     for counts in _each(run, working, Band.try_out, place, points, count // PILOT):
         spent = _plus(counts, spent)
     rays = spent.pop("rays", 0)  # they are asked again
-    most = MOST_SHOWN * working[0].pipeline.traits.pace
-    return spent.get("leaf_tests", 0) <= most * rays, spent
+    return spent.get("leaf_tests", 0) <= MOST_SHOWN * rays, spent
 
 
 def _plus(counters: dict[str, int], more: dict[str, int]) -> dict[str, int]:

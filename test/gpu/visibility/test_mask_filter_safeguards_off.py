@@ -42,30 +42,10 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "any_order or edges_within",
         [(_FILTER, "value = x * m[0]", "beside = 0.0f;\n            return;\n            value = x * m[0]")],
     ),
-    "beyond the plane or not": (
-        _OWN,
-        "edges_within",
-        [(_FILTER, "(low > band) & (beyond - both > none)", "low > band")],
-    ),
-    "the sample's distance at infinity": (
-        _OWN,
-        "sun",
-        [(_FILTER, "plane.value - w * off", "plane.value - off")],
-    ),
-    "lengths that float32 does not hold": (
-        _OWN,
-        "beyond_those",
-        [(_FILTER, "return sum > MASK_SMALLEST", "return true || sum > MASK_SMALLEST")],
-    ),
     "meshes that the light ignores": (
         _OTHER,
         "pilot_decides",
         [(_MASK, "!hidden || !casts(triangle)", "!hidden")],
-    ),
-    "fronts that cast": (
-        _OTHER,
-        "sequences",
-        [(_MASK, "asked.cull == 0 ? hidden & ~sure : hidden", "hidden & ~sure")],
     ),
 }
 

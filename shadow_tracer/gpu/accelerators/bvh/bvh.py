@@ -62,8 +62,6 @@ native.constants(BLOCK_BAND=2.0**-17, BLOCK_FLOOR=1e-30)
 native.constants(WIDEST=2.0**-6, PATIENCE=4, LONGEST=1e100)
 
 _QUERIES = (ANY_HIT, MASK, CLOSEST)
-# One of sixteen triangles takes 0.02 to 0.03 us for 64 points, a ray of a packet 0.06 to 0.1 us for a point.
-_PACE = 1.5
 # On the CPU: rays one by one, and in packets of sixteen; and a sample with all points of a light.
 SINGLE = Walk("accelerators/bvh/sixteen.h", Tree, queries=(ANY_HIT, CLOSEST))
 SINGLE |= Walk("accelerators/bvh/mask_walk.h", Tree, queries=(MASK,))
@@ -87,8 +85,6 @@ class Bvh(Build):
         super().__init__(variant, scene)
         self.tree = KINDS[variant](scene)
         self.walk = _THREADED if self.tree.threaded else PACKETS if forms.wide(scene.device) else _PAIRS
-        if self.walk is PACKETS:
-            self.pace = _PACE
 
     def build(self) -> Tree:
         """Refit or build the tree."""
