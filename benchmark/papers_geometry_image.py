@@ -51,7 +51,14 @@ _PAPER: dict[int, tuple[float | None, ...]] = {
     512: (0.462, 0.453, 0.348, 1.14, 1.08),
 }
 _KINDS = ("eye", "blend", "lens", "side", "several")
-_PEERS = (("mesh_bvh", "refit"), ("bvh", "sah"), ("bvh", "threaded"), ("uniform_grid", "dda"), ("kd_tree", "sah"))
+_PEERS = (
+    ("mesh_bvh", "refit"),
+    ("bvh", "sah"),
+    ("bvh", "threaded"),
+    ("uniform_grid", "dda"),
+    ("kd_tree", "sah"),
+    ("light_grid", "packed"),
+)
 _EYE = (0.0, 0.0, -4.0)
 
 
@@ -205,14 +212,15 @@ def table_1(bench: Bench, size: int, frames: int) -> list[dict[str, Any]]:
 
 
 def figure_10(bench: Bench, size: int, frames: int) -> list[dict[str, Any]]:
-    """Other structures over the same triangles, and the same rays to the eye."""
+    """Other structures over the same triangles, and the same rays to the eye; and while the ball changes."""
     rows = []
     for level in (2, 1):
-        rays = asked("eye", size, level)
+        still, changing = (asked(kind, size, level) for kind in ("eye", "blend"))
         for names in (("geometry_image", "threaded"), *_PEERS):
             bench.select(*names)
-            found = bench.measure(rays, level, frames)
+            found = bench.measure(still, level, frames)
             del found["states"]
+            found["changing ms"] = bench.measure(changing, level, frames, changing=True)["ms"]
             rows.append({"structure": "/".join(names), "triangles": 2 * (_FINEST >> level) ** 2, **found})
     return rows
 
@@ -294,7 +302,8 @@ def main() -> None:
     show(rows)
     write_json(title, rows, options.json)
     peers = figure_10(bench, options.size, options.frames)
-    table([{key: row[key] for key in ("structure", "triangles", "Mrays/s", "nodes/ray", "tests/ray")} for row in peers])
+    shown = ("structure", "triangles", "Mrays/s", "nodes/ray", "tests/ray", "ms", "changing ms")
+    table([{key: row[key] for key in shown} for row in peers])
     print(flush=True)
     table(table_2())
     print("\nrays of a frame: " + ", ".join(f"{r['kind']} {compact(r['rays'])}" for r in rows if r["quads"] == _FINEST))
