@@ -61,12 +61,6 @@ struct Profile {
         const int place = (int)floor(v - sweep.drift * x) - (int)floor(-(sweep.drift * line));
         return place < 0 || place >= sweep.across ? nullptr : bounds + (size_t)line * sweep.pitch + place;
     }
-    // Whether nothing on the line that it comes from, or beyond it, is as high as the ray.
-    inline bool over_all(const float* bounds) const {
-        const int line = (int)floor(x);
-        const float* here = band(bounds, line);
-        return here && y - sweep.rise * x > here[0] + sweep.pad;
-    }
     // What the bounds on a line say, where the ray is now.
     inline int bounded(const float* bounds, int line) const {
         const float* here = band(bounds, line);
@@ -138,8 +132,6 @@ struct Profile {
         y = q.h;
         if (!inside())
             return UNDECIDED;
-        if (over_all(bounds))
-            return LIT;
         bool corner = row == floor(row) && column == floor(column);
         if (corner) {
             const wp::vec3d& p = vertices[chart.first_vertex + (int)row * chart.columns + (int)column];

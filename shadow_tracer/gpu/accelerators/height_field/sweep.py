@@ -21,9 +21,7 @@ ends holds between them. It is *clear* as long as it has been above the surface 
 is said:
 
 1. *Lit*, if it is clear up to a line and its level is above *hides* there; or clear until it leaves the surface. None
-   of it meets the surface: not before the line, as it is clear, and not after. At once, if its level is above *hides*
-   on the line where it begins, or the last one before: nothing of it is before that line. Half of all samples close to
-   the ground are told so where the sun is high.
+   of it meets the surface: not before the line, as it is clear, and not after.
 2. *Hidden*, if it is certainly above the surface at one of those places, and certainly below it at a later one, or the
    other way round, with whole quads between: within a strip, or by *above* or *below*. Then it meets the surface in
    between: take the last point where it is not yet on the other side, and the triangle that it is over right after it.

@@ -101,28 +101,6 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
             (_PROFILE, "two = sweep.mirrored ?", "two = false ?"),
         ],
     ),
-    "a ray begins on the line before it": (
-        _SWEPT,
-        "suns",
-        [
-            (
-                _PROFILE,
-                "const int line = (int)floor(x);\n        const float* here",
-                "const int line = (int)ceil(x);\n        const float* here",
-            )
-        ],
-    ),
-    "a band beside the surface hides nothing of the border": (
-        _SWEPT,
-        "hole or every_way",
-        [
-            (
-                _SWEEP,
-                "if (place > sweep.across || place + LANES < 0)",
-                "if (place >= sweep.across || place + LANES <= 0)",
-            )
-        ],
-    ),
     "nothing is too near to call": (_SWEPT, "stairs or suns", [(_ROOM + "sweep.py", "_PAD = 2.0**-6", "_PAD = 0.0")]),
     "below is as good as above": (
         _SWEPT,
