@@ -72,12 +72,12 @@ EXCEPTIONS = {
     "accelerators.bvh.tree.closest/walk_pairs_closest_1": Budget(144, 1168, reason=_CLOSEST),
     "accelerators.bvh.tree.closest/walk_threaded_closest_1": Budget(136, 896, reason=_CLOSEST),
     "accelerators.bvh.tree.any_hit/walk_pairs_any_hit_1": Budget(68, 264, reason="a stack of 60 nodes"),
-    "accelerators.bvh.tree.cones/find_outcomes": Budget(168, 3200, reason=_CONES + _SHEET),
-    "accelerators.bvh.tree.cones/find_hits": Budget(168, 2592, reason=_CONES),
-    "accelerators.kd_tree.splitting.cones/find_outcomes": Budget(176, 2912, reason=_CONES + _SHEET),
-    "accelerators.kd_tree.splitting.cones/find_hits": Budget(176, 2416, reason=_CONES),
-    "accelerators.brute_force.brute_force.cones/find_outcomes": Budget(184, 1464, reason=_CONES + _SHEET),
-    "accelerators.brute_force.brute_force.cones/find_hits": Budget(200, 896, reason=_CONES),
+    "accelerators.bvh.tree.cone_outcomes/find_outcomes": Budget(168, 3200, reason=_CONES + _SHEET),
+    "accelerators.bvh.tree.cone_hits/find_hits": Budget(168, 2592, reason=_CONES),
+    "accelerators.kd_tree.splitting.cone_outcomes/find_outcomes": Budget(176, 2912, reason=_CONES + _SHEET),
+    "accelerators.kd_tree.splitting.cone_hits/find_hits": Budget(176, 2416, reason=_CONES),
+    "accelerators.brute_force.brute_force.cone_outcomes/find_outcomes": Budget(184, 1464, reason=_CONES + _SHEET),
+    "accelerators.brute_force.brute_force.cone_hits/find_hits": Budget(200, 896, reason=_CONES),
     "accelerators.bvh.build/split_level": Budget(
         224, 2024, reason="bins of triangles along three axes, one node a thread; once per topology"
     ),

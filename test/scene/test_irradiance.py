@@ -273,6 +273,7 @@ def test_pieces_that_a_gpu_takes_are_the_whole(monkeypatch: pytest.MonkeyPatch) 
     bits = random.integers(0, 2**63, 700, dtype=np.uint64)
     for light in (TUBE, DISC, EVERY[-1]):
         expected = irradiance_of(light, points, normals, bits, "cpu")
+        monkeypatch.setattr("shadow_tracer.gpu.visibility.irradiance._meters", {})  # buffers are kept from call to call
         monkeypatch.setattr("shadow_tracer.gpu.visibility.irradiance._PIECE", 256)
         with forms.cuda_form():
             np.testing.assert_array_equal(irradiance_of(light, points, normals, bits, "cpu"), expected)

@@ -56,7 +56,10 @@ def cone_scene(tree: Any) -> Any:
 
 
 def _kernel(name: str, header: str, calls: str, walk: str, scene: Any) -> tuple[Any, wp.Function]:
-    """A kernel whose threads take a cone each, and the native function that it calls."""
+    """A kernel whose threads take a cone each, and the native function that it calls.
+
+    In a module each: what they take to compile for CUDA is much, and one is often asked for without the other.
+    """
     module, arguments = scene.cls.__module__, {"scene": scene, "asked": ConesAsked}
 
     def one(number, scene, asked):  # type: ignore[no-untyped-def]
@@ -72,7 +75,7 @@ def _kernel(name: str, header: str, calls: str, walk: str, scene: Any) -> tuple[
 
     find.__annotations__ = {"first": int, **arguments}
     find.__name__, find.__qualname__, find.__module__ = f"find_{name}", f"find_{name}", module
-    return wp.kernel(find, enable_backward=False, module=f"{module}.cones"), ask
+    return wp.kernel(find, enable_backward=False, module=f"{module}.cone_{name}"), ask
 
 
 class ConeKernels:
@@ -89,7 +92,7 @@ class ConeKernels:
 
     def __init__(self, walk: str, scene: Any) -> None:
         self.scene = scene
-        self.modules = [f"{scene.cls.__module__}.cones"]
+        self.modules = [f"{scene.cls.__module__}.cone_{name}" for name in ("outcomes", "hits")]
         outcomes, hits = "accelerators/cone_outcome.h", "accelerators/cone_hits.h"
         self.find_outcomes, one = _kernel("outcomes", outcomes, "ConeOutcome::of", walk, scene)
         self.find_hits, two = _kernel("hits", hits, "ConeHits::of", walk, scene)

@@ -58,6 +58,7 @@ struct ConeOutcome {
         Sheet sheet;
         sheet.count = 0;
         sheet.add(first, Sheet::NONE);
+        const bool line = cone.slope.number == 0.0; // the triangle hides it or not, whatever goes on
         bool axis = false;
         for (int k = 0; k < sheet.count; ++k) {
             if (k > 0 && --walk.budget < walk.spent)
@@ -67,17 +68,21 @@ struct ConeOutcome {
             const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
             if (!Cone::finite(p, q, r))
                 return false;
-            const Cone::Corner a = cone.corner(p), b = cone.corner(q), c = cone.corner(r);
-            const Cone::Plane plane = cone.plane(a, b, c);
-            if (!plane.ahead || !cone.before_end(a, b, c, plane))
-                return false;
-            if (!(from == 0 || closed(sheet, triangle, 0, a, b, plane))
-                || !(from == 1 || closed(sheet, triangle, 1, b, c, plane))
-                || !(from == 2 || closed(sheet, triangle, 2, c, a, plane)))
-                return false;
-            const bool beside = cone.beyond(a, b, plane, cone.axis) || cone.beyond(b, c, plane, cone.axis)
-                                || cone.beyond(c, a, plane, cone.axis);
-            axis = axis || (!beside && on_axis(p, q, r));
+            bool beside = false;
+            if (!line) {
+                const Cone::Corner a = cone.corner(p), b = cone.corner(q), c = cone.corner(r);
+                const Cone::Plane plane = cone.plane(a, b, c);
+                if (!plane.ahead || !cone.before_end(a, b, c, plane))
+                    return false;
+                if (!(from == 0 || closed(sheet, triangle, 0, a, b, plane))
+                    || !(from == 1 || closed(sheet, triangle, 1, b, c, plane))
+                    || !(from == 2 || closed(sheet, triangle, 2, c, a, plane)))
+                    return false;
+                beside = cone.beyond(a, b, plane, cone.axis) || cone.beyond(b, c, plane, cone.axis)
+                         || cone.beyond(c, a, plane, cone.axis);
+            }
+            if (!axis && !beside && on_axis(p, q, r)) // in one place: the exact decision is much code
+                axis = true;
         }
         return axis;
     }
@@ -87,9 +92,7 @@ struct ConeOutcome {
         const wp::vec3d &p = vertex(corners[0]), &q = vertex(corners[1]), &r = vertex(corners[2]);
         if (!Cone::finite(p, q, r))
             return false;
-        if (cone.slope.number == 0.0)
-            return on_axis(p, q, r);
-        if (alone) {
+        if (alone && cone.slope.number != 0.0) {
             const Cone::Corner a = cone.corner(p), b = cone.corner(q), c = cone.corner(r);
             if (cone.covered_by(a, b, c, cone.plane(a, b, c)))
                 return true;

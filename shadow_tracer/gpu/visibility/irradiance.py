@@ -114,8 +114,9 @@ class _Meter:
         if not self._buffers:
             kinds = wp.vec3d, wp.vec3d, wp.uint64, wp.float64
             self._buffers = tuple(wp.empty(_PIECE, dtype=kind, device=self._device) for kind in kinds)
-        for begin in range(0, len(found), _PIECE):
-            count = min(_PIECE, len(found) - begin)
+        piece = len(self._buffers[0])
+        for begin in range(0, len(found), piece):
+            count = min(piece, len(found) - begin)
             for buffer, array in zip(self._buffers, arrays, strict=False):
                 buffer[:count].assign(array[begin : begin + count])
             self._launch(lamp, count, list(self._buffers))
