@@ -303,9 +303,9 @@ def measure_peer(figures: Figures, method: str) -> Iterator[dict[str, Any]]:
         yield {"graph": True, **figures.run(entry)}
 
 
-def load_modules(device: Any) -> Iterator[dict[str, Any]]:
-    """Compile or load every module of kernels; what its kernels take on this device."""
-    for name in modules():
+def load_modules(device: Any, chosen: list[str]) -> Iterator[dict[str, Any]]:
+    """Compile or load modules of kernels, all if none are chosen; what their kernels take on this device."""
+    for name in chosen or modules():
         begin = time.perf_counter()
         try:
             module = warp_module(name)
@@ -345,7 +345,7 @@ def rows(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
     if options.step == "device":
         yield describe(device)
     elif options.step == "modules":
-        yield from load_modules(device)
+        yield from load_modules(device, options.modules)
     else:
         # A case that this very program has written a moment ago.
         case = pickle.loads(Path(options.case).read_bytes())
@@ -362,6 +362,7 @@ def main() -> None:
     parser.add_argument("step", choices=("device", "modules", "case", "measure"))
     parser.add_argument("--rows", required=True, help="file that lines of JSON are appended to")
     parser.add_argument("--device", default="cuda:0")
+    parser.add_argument("--modules", nargs="*", default=[], help="for step modules: which, all by default")
     parser.add_argument("--scene", help="for step case: name:triangles")
     parser.add_argument("--size", type=int, default=1024)
     parser.add_argument("--case", help="file of the case")

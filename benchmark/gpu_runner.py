@@ -225,6 +225,7 @@ def arguments(words: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--size", type=int, default=1024, help="image width and height [px]")
     parser.add_argument("--frames", type=int, default=40, help="frames per figure")
     parser.add_argument("--figure-seconds", type=float, default=1.0, help="seconds per figure")
+    parser.add_argument("--modules", nargs="+", default=[], help="modules of kernels that are compiled first; all")
     parser.add_argument("--commit", help="where the checkout has no git history")
     return parser.parse_args(words)
 
@@ -239,7 +240,7 @@ def main() -> int:
         print(json.dumps(runner.found["machine"] | runner.found["device"]), flush=True)
         if "failure" in runner.found["device"]:
             return 1
-        runner.note(modules=runner.step("modules", limit=300.0))
+        runner.note(modules=runner.step("modules", "--modules", *options.modules, limit=300.0))
         if options.only != "table":
             _tests(runner, options, folder)
         if options.only != "tests":

@@ -4,6 +4,7 @@ variant there is, on some in both forms of kernels."""
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import zlib
@@ -129,7 +130,7 @@ def tracers() -> Tracers:
 # views one in three; the slowest ones get few of the slow cases.
 # SHADOW_TRACER_ALL_CASES=1 gives every case to every variant, as their own tests always do.
 _IN_ALL_CASES = ("light_grid-packed", "cone_hierarchy-linear", "mesh_bvh-refit", "brute_force-filtered")
-_SLOWEST = ("bsp", "ray_classification")
+_SLOWEST = ("bsp", "ray_classification", "cone_hierarchy-spheres", "cone_hierarchy-precise", "brute_force-float64")
 _TURNS, _TURNS_OF_VIEWS, _TURNS_OF_SLOW = 6, 3, 24
 _FOR_ALL = ("test_front_face_culling", "cone_hierarchy", "test_probe")
 
@@ -152,7 +153,8 @@ def _turn(item: pytest.Item) -> bool:
     path, slow = item.path.as_posix(), item.get_closest_marker("slow") is not None
     if not _takes_turns(pipeline, variant, form) or any(part in path for part in _FOR_ALL):
         return True
-    turns = _TURNS_OF_SLOW if slow and pipeline in _SLOWEST else _TURNS_OF_VIEWS if "test_views" in path else _TURNS
+    slowest = f"{pipeline}-{variant}".startswith(_SLOWEST)
+    turns = _TURNS_OF_SLOW if slow and slowest else _TURNS_OF_VIEWS if "test_views" in path else _TURNS
     name = item.nodeid.replace("-".join(case), "").replace(f"-{probe.CUDA}", "")
     return (zlib.crc32(name.encode()) + _takers(device).index((case, form))) % turns == 0
 
@@ -169,6 +171,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         (kept if mine else left_out).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept
+
+
+def pytest_collection_finish() -> None:
+    """Twenty thousand cases are many objects: each full collection of garbage would go through all of them again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

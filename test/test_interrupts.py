@@ -122,6 +122,8 @@ _KINDS: list[tuple[str, int, dict[str, Any], str]] = [
     ("auto/measured", 2, {}, probe.USUAL),
 ]
 
+_SLOW = "ray_classification/lazy", "cone_hierarchy/precise", "geometry_image/threaded"
+
 
 # Points in no order are slow to trace for the variants that follow the paper.
 @pytest.mark.parametrize(
@@ -143,12 +145,13 @@ def test_an_exception_at_any_step(question: str, names: str, threads: int, more:
     _changed(tracer, 0)
     total = steps.count(lambda: _ask(tracer, question, _OTHERS))
     assert total > 300
-    for number, at in enumerate(np.random.default_rng(7).integers(1, total, 25)):
+    for number, at in enumerate(np.random.default_rng(7).integers(1, total, 8 if names in _SLOW else 25)):
         _changed(tracer, number)
         _interrupt(steps, lambda: _ask(tracer, question, _OTHERS), int(at))
         tracer.scene.put("mesh", *_mesh(1))
         assert _ask(tracer, question) == _right(question), at
-        assert tracer.verify(_DEPTH, _CAMERA, _LIGHTS) == 0
+        if number % 5 == 0:
+            assert tracer.verify(_DEPTH, _CAMERA, _LIGHTS) == 0
 
 
 def _interrupt(steps: Steps, function: Callable[[], Any], at: int) -> None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import geometry
@@ -64,66 +66,101 @@ _LIGHTS = {
 }
 
 
+@cache
+def _by_hard_lights(device: str, mesh: str, light: str, bias: float) -> dict[str, np.ndarray]:
+    """Once for all walkers and forms: it is most of the work."""
+    oracle = _tracer("light_grid/packed", device)
+    oracle.scene.put("mesh", *_MESHES[mesh])
+    frame = oracle.trace(_depth(), _CAMERA, [_LIGHTS[light]], Bias(bias))
+    found = {"state": frame.state("s"), "visibility": frame.visibility("s")}
+    return found if _LIGHTS[light].samples > 64 else {"light_bits": frame.light_bits("s"), **found}
+
+
 @pytest.mark.parametrize("names", _WALKERS)
 @pytest.mark.parametrize("light", _LIGHTS)
 @pytest.mark.parametrize("mesh", _MESHES)
 def test_the_same_points_reach_as_hard_lights(any_device: str, mesh: str, light: str, names: str) -> None:
-    tracer, oracle = _tracer(names, any_device), _tracer("light_grid/packed", any_device)
-    sphere, depth = _LIGHTS[light], _depth()
-    for each in (tracer, oracle):
-        each.scene.put("mesh", *_MESHES[mesh])
-    for bias in (Bias(0.0), Bias(0.02)):
-        frame, hard = (each.trace(depth, _CAMERA, [sphere], bias) for each in (tracer, oracle))
-        if sphere.samples <= 64:
-            assert np.array_equal(frame.light_bits("s"), hard.light_bits("s"))
-        assert np.array_equal(frame.state("s"), hard.state("s"))
-        assert np.array_equal(frame.visibility("s"), hard.visibility("s"), equal_nan=True)
+    tracer, light_of_points = _tracer(names, any_device), _LIGHTS[light]
+    tracer.scene.put("mesh", *_MESHES[mesh])
+    for bias in (0.0, 0.02):
+        frame = tracer.trace(_depth(), _CAMERA, [light_of_points], Bias(bias))
+        for what, expected in _by_hard_lights(any_device, mesh, light, bias).items():
+            np.testing.assert_array_equal(getattr(frame, what)("s"), expected, what)
         assert np.isin(frame.state("s"), (State.LIT, State.SHADOWED, State.PENUMBRA)).sum() > 100
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A frame, points, and what is found by hard lights."""
+
+    mesh: str | None
+    lights: list[Any]
+    bias: float
+    depth: np.ndarray
+    points: np.ndarray
+    expected: list[np.ndarray]
+
+    def found(self, tracer: ShadowTracer) -> list[np.ndarray]:
+        if self.mesh is None:
+            tracer.scene.clear()
+        else:
+            tracer.scene.put("mesh", *_MESHES[self.mesh])
+        frame = tracer.trace(self.depth, _CAMERA, self.lights, Bias(self.bias))
+        images = [image(light.name) for light in self.lights for image in (frame.visibility, frame.state)]
+        return [*images, tracer.states_at(self.points, self.lights, 0.01)]
+
+
+@cache
+def _unlike_frames(device: str, cull: bool) -> list[_Step]:
+    """Meshes, lights and biases change; a hard light before and behind; points in between."""
+    oracle, steps = _tracer("light_grid/packed", device, front_face_culling=cull), []
+    rng = np.random.default_rng(5)
+    lamps = [PointLight("before", (0.1, -2.0, 0.3)), PointLight("behind", (2.0, 0.0, 1.0), 2.5)]
+    for step in range(8):
+        light = list(_LIGHTS.values())[step % len(_LIGHTS)]
+        lights = [lamps[0], light, lamps[1]] if step % 2 else [light]
+        mesh = None if step == 4 else list(_MESHES)[step % len(_MESHES)]
+        points = rng.uniform(-2, 4, (50 + 300 * step, 3))
+        asked = _Step(mesh, lights, 0.03 * (step % 3), _depth(step), points, [])
+        steps.append(replace(asked, expected=asked.found(oracle)))
+    return steps
 
 
 @pytest.mark.parametrize("names", _WALKERS)
 @pytest.mark.parametrize("cull", [False, True])
 @pytest.mark.slow
 def test_sequences_of_unlike_frames(any_device: str, names: str, cull: bool) -> None:
-    """Meshes, lights, biases and culling change; a hard light before and behind; points in between."""
     tracer = _tracer(names, any_device, front_face_culling=cull)
-    oracle = _tracer("light_grid/packed", any_device, front_face_culling=cull)
-    rng = np.random.default_rng(5)
-    lamps = [PointLight("before", (0.1, -2.0, 0.3)), PointLight("behind", (2.0, 0.0, 1.0), 2.5)]
-    for step in range(8):
-        sphere = list(_LIGHTS.values())[step % len(_LIGHTS)]
-        lights = [lamps[0], sphere, lamps[1]] if step % 2 else [sphere]
-        bias, depth = Bias(0.03 * (step % 3)), _depth(step)
-        points = rng.uniform(-2, 4, (50 + 300 * step, 3))
-        frames, states = [], []
-        for each in (tracer, oracle):
-            if step == 4:
-                each.scene.clear()
-            else:
-                each.scene.put("mesh", *list(_MESHES.values())[step % len(_MESHES)])
-            frames.append(each.trace(depth, _CAMERA, lights, bias))
-            states.append(each.states_at(points, lights, 0.01))
-        for light in lights:
-            one, other = (frame.visibility(light.name) for frame in frames)
-            assert np.array_equal(one, other, equal_nan=True), step
-            assert np.array_equal(frames[0].state(light.name), frames[1].state(light.name)), step
-        assert np.array_equal(*states), step
+    for number, step in enumerate(_unlike_frames(any_device, cull)):
+        for found, expected in zip(step.found(tracer), step.expected, strict=True):
+            np.testing.assert_array_equal(found, expected, str(number))
 
 
-@pytest.mark.parametrize("names", _WALKERS)
-def test_points_on_samples_edges_and_corners(any_device: str, names: str) -> None:
-    """Samples that are points of the light, corners of triangles, far away or in the middle of the light."""
-    tracer, oracle = _tracer(names, any_device), _tracer("light_grid/packed", any_device)
+_ODD_BIASES = 0.0, 0.5, 5.0
+
+
+@cache
+def _odd_points(device: str) -> tuple[tuple[np.ndarray, np.ndarray], SphereLight, np.ndarray, list[np.ndarray]]:
+    """A mesh, a light, points that are points of the light, corners of triangles, far away or in the middle of the
+    light, and their states by hard lights, by bias."""
     vertices, triangles = _MESHES["ball"]
     vertices = np.concatenate([vertices, [(np.nan, 0, 0), (0, 0, 1), (1, 0, 1)]])
     triangles = np.concatenate([triangles, [(len(vertices) - 3, len(vertices) - 2, len(vertices) - 1)], [(0, 0, 1)]])
     sphere = SphereLight("s", (0.25, -0.5, 1.0), 0.75, samples=70)
     far = 10.0 ** np.arange(1, 16, 2)[:, None] * np.array([(1.0, 2.0, 3.0)])
     points = np.concatenate([sphere.points, vertices[:-3], [sphere.position], far, -far])
-    for each in (tracer, oracle):
-        each.scene.put("mesh", vertices, triangles, nonfinite="skip")
-    for bias in (0.0, 0.5, 5.0):
-        assert np.array_equal(tracer.states_at(points, [sphere], bias), oracle.states_at(points, [sphere], bias))
+    oracle = _tracer("light_grid/packed", device)
+    oracle.scene.put("mesh", vertices, triangles, nonfinite="skip")
+    return (vertices, triangles), sphere, points, [oracle.states_at(points, [sphere], bias) for bias in _ODD_BIASES]
+
+
+@pytest.mark.parametrize("names", _WALKERS)
+def test_points_on_samples_edges_and_corners(any_device: str, names: str) -> None:
+    mesh, sphere, points, expected = _odd_points(any_device)
+    tracer = _tracer(names, any_device)
+    tracer.scene.put("mesh", *mesh, nonfinite="skip")
+    for bias, states in zip(_ODD_BIASES, expected, strict=True):
+        np.testing.assert_array_equal(tracer.states_at(points, [sphere], bias), states)
 
 
 @pytest.mark.parametrize("names", _WALKERS)
