@@ -26,7 +26,8 @@ class RateLimit:
             self._due = None
             return True
         period = 1.0 / self.rate
-        due = now if self._due is None else min(self._due, now + period)  # a rate that was lower is over
+        latest = now + (1.0 + _SLACK) * period  # later it is only by a rate that was lower, and is over
+        due = now if self._due is None else min(self._due, latest)
         if now + _SLACK * period < due:
             self.left_out += 1
             self._due = due

@@ -58,6 +58,6 @@ def test_zero_is_all_and_a_rate_may_change() -> None:
     limit.rate = 0.001
     assert passed(limit, np.array([1.0, 2.0, 3.0])).tolist() == [1.0]
     limit.rate = 10.0
-    assert passed(limit, np.array([3.01, 3.2, 3.21])).tolist() == [3.2]  # not in a thousand seconds
+    assert passed(limit, np.array([3.01, 3.2, 3.205])).tolist() == [3.2]  # not in a thousand seconds
     limit.rate = 0.0
     assert limit.wants(3.22)
