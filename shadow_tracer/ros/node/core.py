@@ -94,7 +94,9 @@ class Core:
         backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         self._jumps = node.get_clock().create_jump_callback(backward, post_callback=self.guarded(self._on_jump))
         self._warned = False
-        self._log = LogBridge(node.get_logger())
+        self._log = LogBridge(log := node.get_logger())
+        # A logger for each: of one, a camera would take the turns of another.
+        self._loggers = {name: log.get_child(name) if name else log for name in self.inputs.cameras}
         self.outputs.configure(server.settings)
 
     @property
@@ -327,8 +329,7 @@ class Core:
         array = diagnostics.timing(name, device, image.header.stamp, answer.missing, stages, numbers)
         outputs.timing.publish(array)
         if answer.missing is not None:
-            text = f"{f'camera {camera}: ' if camera else ''}mask unknown: {answer.missing.text}"
-            self.node.get_logger().warning(text, throttle_duration_sec=5.0)
+            self._loggers[camera].warning(f"mask unknown: {answer.missing.text}", throttle_duration_sec=5.0)
 
     def _mark(self) -> None:
         inputs, tracer, now = self.inputs, self.host.tracer, time.monotonic()

@@ -5,6 +5,9 @@ Time is that of the node's clock between two images of which everything is known
 the image at its end; one longer than a second is a pause, and so is one in which the clock jumps, or that an image
 begins or ends of which nothing is known: these never count. Exposures are added once a second, with everything where it
 is then, and at once when a light changes; of what waits when a pause begins, up to a second, nothing is added.
+
+With several cameras the images of all count, and one of which nothing is known begins no pause while everything is
+known of another camera's.
 """
 
 from __future__ import annotations

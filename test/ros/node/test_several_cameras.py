@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from camera_rig import NAMES, POSES, CameraRig
-from harness import FOCAL, HEIGHT, WIDTH, Rig, image_msg, nanoseconds, plate, reliable, wall
+from camera_rig import NAMES, PLACED, POSES, CameraRig
+from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, image_msg, info_msg, nanoseconds, plate, reliable, wall
 from node_world import BIAS, cloud_msg, library, pose_msg, shift
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Bool
 
 from shadow_tracer import Bias, Camera, PointLight, ShadowTracer
 from shadow_tracer.ros.diagnostics import DEPTH, ERROR, MESH, OK, PROCESSING, TRANSFORMS, WARN
 from shadow_tracer.ros.node.lifecycle_node import ShadowLifecycleNode
 from shadow_tracer.ros.parameters.parameters import ParameterError
+from shadow_tracer.testing import Harness
 
 LAMP = PointLight("lamp", (0.5, -0.5, 0.0))
 SMALL_WALL = np.full((30, 40), 2.0, np.float32)
@@ -254,19 +255,28 @@ def test_queries_and_lights_may_be_in_the_frame_of_any_camera(rig: CameraRig) ->
     assert (after != before).any()
 
 
+@pytest.mark.slow
 def test_a_dose_counts_while_one_camera_sees_nothing() -> None:
-    given = {"lights.lamp.power": 10.0, "dose.parts": ["mesh"], "mask.unknown_value": 7, "dose.max_edge": 1.0}
+    """An image of which nothing is known begins a pause only if no other camera's are known."""
+    given = {"lights.lamp.power": 10.0, "dose.parts": ["mesh"], "dose.side": "both", "dose.max_edge": 1.0}
     with CameraRig(given) as rig:
         rig.send_mesh(*plate())
         done = rig.collect(Bool, "shadow_tracer/dose/done")
-        for _ in range(400):
-            if any(each.dose.max() > 0.0 for each in rig.core.exposure.maps.values()):
+        for _ in range(100):
+            rig.send("rear", SMALL_WALL, info=False)
+            rig.look("front", SMALL_WALL)
+            if done:
                 break
-            rig.look("front", wall())
-            rig.send("rear", wall(), info=False)
             rig.settle(0.05)
-        assert rig.core.inputs.cameras["rear"].depth.count > 5 and rig.core.health.cameras["rear"].unknown > 0
-        rig.until(lambda: bool(done), 5.0)
+        assert rig.core.exposure.maps["mesh"].dose.max() > 0.0
+        rear = rig.core.health.cameras["rear"]
+        assert rear.unknown > 5 and rear.traced == 0
+        rig.core.exposure._waiting = 0.5
+        rig.mask("rear", rig.send("rear", SMALL_WALL, info=False))
+        assert rig.core.exposure._waiting == 0.5
+        rig.settle(1.1)  # nothing more comes of the other one
+        rig.mask("rear", rig.send("rear", SMALL_WALL, info=False))
+        assert rig.core.exposure._waiting == 0.0
 
 
 # Every parameter of a camera
@@ -423,6 +433,27 @@ def test_one_camera_with_a_name_needs_nothing_more() -> None:
         assert rig.core.inputs.topic("depth front") == "/front/depth/image_rect"
         rig.until(lambda: rig.value(PROCESSING, "traced") == "0")
         rig.wait_status(f"{DEPTH} front", WARN, "or set cameras.front.depth_topic to the topic of the camera")
+
+
+def test_the_harness_with_cameras_as_its_page_says() -> None:
+    with Harness({**SMALL, **PLACED}) as harness:
+        publishers = [harness.publisher(kind, f"rear/depth/{name}") for kind, name in ((CameraInfo, "camera_info"),
+                      (Image, "image_rect"))]  # fmt: skip
+        masks = harness.collect(Image, "shadow_tracer/rear/mask")
+        harness.send_mesh(*plate())
+        publishers[0].publish(info_msg(WIDTH, HEIGHT, 5))
+        publishers[1].publish(image_msg(wall(), 5))
+        harness.until(lambda: bool(masks))
+        found = np.frombuffer(masks[0].data, np.uint8).reshape(HEIGHT, WIDTH)
+        np.testing.assert_array_equal(found, expected("rear", wall()))
+
+
+def test_the_log_of_a_camera_is_not_held_back_by_that_of_another(capfd: pytest.CaptureFixture[str]) -> None:
+    with CameraRig({"camera_info_policy": "exact", "tf_timeout": 0.0}) as rig:
+        for name in NAMES:
+            rig.look(name, wall(), info=False)
+    log = "".join(capfd.readouterr())
+    assert all(f"[shadow_tracer.{name}]: mask unknown: no camera_info" in log for name in NAMES)
 
 
 def test_the_managed_node_with_two_cameras() -> None:
