@@ -143,6 +143,7 @@ class Harness(Friend):
             context=self.context, parameter_overrides=overrides, cli_args=cli, namespace=self._namespace or None
         )
         self._left.callback(_close_node, node)
+        self._named = bool(node.settings.cameras)
         self.executor.add_node(node)
         if wait:
             self.until(lambda: node.ready, timeout, "the node is ready")

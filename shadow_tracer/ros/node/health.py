@@ -134,7 +134,7 @@ class Health:
                 yield name, camera.missing
         for missing in (self.queries.missing, self.ground.missing):
             if missing is not None:
-                yield next(iter(self.cameras)) if len(self.cameras) == 1 else "", missing
+                yield "", missing
 
     def _judge_transforms(self, settings: Settings, now: float) -> Verdict:
         inputs = self.inputs

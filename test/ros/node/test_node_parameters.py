@@ -504,10 +504,12 @@ def plain_values(node: Any) -> dict[str, Any]:
     return values
 
 
-def test_what_param_dump_writes_starts_the_same_node(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cameras", [{}, {"camera_names": ["front", "rear"], "cameras.rear.rate": 5.0}])
+def test_what_param_dump_writes_starts_the_same_node(tmp_path: Path, cameras: dict[str, Any]) -> None:
     """Every parameter that a running node has, those of its QoS included, as nested YAML and back."""
     yaml = pytest.importorskip("yaml")
     given = {**STANDARD, "light_names": ["lamp", "sky"], "lights.sky.type": "directional", "bias.constant": 0.07}
+    given |= cameras
     with Rig(given) as rig:
         assert rig.node
         before = plain_values(rig.node)
@@ -518,6 +520,7 @@ def test_what_param_dump_writes_starts_the_same_node(tmp_path: Path) -> None:
         assert rig.node
         assert plain_values(rig.node) == before
         assert [light.type for light in rig.node.settings.lights] == ["point", "directional"]
+        assert [camera.rate for camera in rig.node.settings.cameras] == ([0.0, 5.0] if cameras else [])
         assert rig.core.server.warnings() == []
 
 

@@ -224,6 +224,32 @@ def test_every_image_of_both_is_answered_if_so_wished(rig: CameraRig) -> None:
     rig.stamp += 1000
 
 
+def test_images_that_wait_in_line_have_the_mesh_of_their_time(rig: CameraRig) -> None:
+    """Of two cameras in turn: the one scene goes forth and back."""
+    core, sent = rig.core, []
+    assert rig.set_parameters({"process": "every"}) == ""
+    rig.connected()
+    work, core.inputs._work = core.inputs._work, lambda: None
+    try:
+        for step in range(3):
+            rig.send_mesh(*plate(x=0.1 * step))
+            for name in NAMES:
+                before = core.inputs.cameras[name].depth.count
+                sent.append((step, name, rig.send(name, wall())))
+                rig.until(lambda name=name, before=before: core.inputs.cameras[name].depth.count > before)
+    finally:
+        core.inputs._work = work
+    core.wake()
+    masks = {}
+    for step, name, stamp in sent:
+        tracer = library()
+        tracer.scene.put("mesh", *plate(x=0.1 * step))
+        masks[step, name] = rig.mask(name, stamp)
+        np.testing.assert_array_equal(masks[step, name], expected(name, wall(), tracer))
+    assert (masks[0, "rear"] != masks[2, "rear"]).any()
+    rig.send_mesh(*plate())
+
+
 def test_frames_are_verified_for_each_camera(rig: CameraRig) -> None:
     assert rig.set_parameters({"verify_every": 1}) == ""
     before = {name: rig.core.processors[name].verified for name in NAMES}
