@@ -136,14 +136,20 @@ def test_none_starves_and_drops_are_counted_for_the_camera_that_has_them(rig: Ca
     assert rig.number("rear", "dropped") == rig.core.inputs.cameras["rear"].queue.dropped
 
 
-def test_turns_go_round_where_both_wait_and_the_newest_is_first(rig: CameraRig) -> None:
-    """Both have several images when the tracer is free again."""
-    core, order = rig.core, []
-    for name in NAMES:
-        publish = core.outputs.cameras[name].timing.publish
-        core.outputs.cameras[name].timing.publish = lambda msg, name=name, publish=publish: (
+def note_order(rig: CameraRig) -> list[tuple[str, int]]:
+    """Cameras and stamps of the images answered from now on, in order."""
+    order: list[tuple[str, int]] = []
+    for name, outputs in rig.core.outputs.cameras.items():
+        publish = outputs.timing.publish
+        outputs.timing.publish = lambda msg, name=name, publish=publish: (
             order.append((name, nanoseconds(msg.header.stamp))), publish(msg),
         )  # fmt: skip
+    return order
+
+
+def test_turns_go_round_where_both_wait_and_the_newest_is_first(rig: CameraRig) -> None:
+    """Both have several images when the tracer is free again."""
+    core, order = rig.core, note_order(rig)
     work, core.inputs._work = core.inputs._work, lambda: None
     try:
         stamps = {name: [] for name in NAMES}
@@ -225,8 +231,8 @@ def test_every_image_of_both_is_answered_if_so_wished(rig: CameraRig) -> None:
 
 
 def test_images_that_wait_in_line_have_the_mesh_of_their_time(rig: CameraRig) -> None:
-    """Of two cameras in turn: the one scene goes forth and back."""
-    core, sent = rig.core, []
+    """Of two cameras in turn: none is first all the time, and the one scene goes forth and back."""
+    core, sent, order = rig.core, [], note_order(rig)
     assert rig.set_parameters({"process": "every"}) == ""
     rig.connected()
     work, core.inputs._work = core.inputs._work, lambda: None
@@ -247,6 +253,8 @@ def test_images_that_wait_in_line_have_the_mesh_of_their_time(rig: CameraRig) ->
         masks[step, name] = rig.mask(name, stamp)
         np.testing.assert_array_equal(masks[step, name], expected(name, wall(), tracer))
     assert (masks[0, "rear"] != masks[2, "rear"]).any()
+    names = [name for name, _ in order]
+    assert names in (["front", "rear"] * 3, ["rear", "front"] * 3)
     rig.send_mesh(*plate())
 
 
