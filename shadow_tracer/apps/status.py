@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`shadow_tracer status`: what the node says of itself on /diagnostics, five lines for people."""
+"""`shadow_tracer status`: what the node says of itself on /diagnostics, a line for people each."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import time
 from typing import Any
 
 _WORDS = {b"\x00": "OK", b"\x01": "WARN", b"\x02": "ERROR", b"\x03": "STALE"}
-_FIVE = ("input depth", "input mesh", "transforms", "device", "processing")
+_LAST = ("input mesh", "transforms", "device", "processing")  # after one or more about depth images
 _NO_NODE = (
     "no node: nothing came within {:g} s; is shadow_node running, with the same ROS_DOMAIN_ID and "
     "ROS_AUTOMATIC_DISCOVERY_RANGE?"
 )
 
 _DESCRIPTION = """\
-Listens to /diagnostics and prints the five statuses of the node, each with what helps. Exit code 0 if none of them is
+Listens to /diagnostics and prints the statuses of the node, each with what helps. Exit code 0 if none of them is
 an ERROR, 1 if one is or there is no node, 2 for a wrong option or without ROS."""
 
 
@@ -25,7 +25,11 @@ def node_of(array: Any) -> str:
     """Name of the shadow_tracer node that a message of /diagnostics comes from; "" if it is from another program."""
     names = [status.name.rpartition(": ") for status in array.status]
     nodes = {node for node, _, what in names}
-    return nodes.pop() if len(nodes) == 1 and tuple(what for _, _, what in names) == _FIVE else ""
+    statuses = tuple(what for _, _, what in names)
+    cameras = statuses[: -len(_LAST)]
+    images = bool(cameras) and all(what.startswith("input depth") for what in cameras)
+    ours = images and statuses[-len(_LAST) :] == _LAST
+    return nodes.pop() if len(nodes) == 1 and ours else ""
 
 
 def lines(array: Any, verbose: bool = False) -> list[str]:
@@ -35,11 +39,12 @@ def lines(array: Any, verbose: bool = False) -> list[str]:
         verbose: the numbers behind each follow it, a line for each.
     """
     text = []
+    width = max([11, *(len(status.name.rpartition(": ")[2]) for status in array.status)])
     for status in array.status:
         what = status.name.rpartition(": ")[2]
-        text.append(f"{_WORDS.get(status.level, '?'):5} {what:11} {status.message}")
+        text.append(f"{_WORDS.get(status.level, '?'):5} {what:{width}} {status.message}")
         if verbose:
-            text += [f"{'':17} {pair.key}: {pair.value}" for pair in status.values]
+            text += [f"{'':{width + 6}} {pair.key}: {pair.value}" for pair in status.values]
     return text
 
 

@@ -7,7 +7,7 @@ ROS is imported where a message is made, and nowhere else.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,9 +115,14 @@ class Window:
 
     def summary(self) -> str:
         """``mean / 95 % / max``, or "-" if there is nothing yet."""
-        if not self._values:
+        return self.summary_of([self])
+
+    @staticmethod
+    def summary_of(windows: Iterable[Window]) -> str:
+        """The same of several series together."""
+        values = np.array([value for window in windows for value in window._values])
+        if not len(values):
             return "-"
-        values = np.asarray(self._values)
         return f"{values.mean():.1f} / {np.percentile(values, 95):.1f} / {values.max():.1f}"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -128,8 +129,28 @@ class LightSettings:
 
 
 @dataclass(frozen=True)
+class CameraSettings:
+    """One camera as the parameters ``cameras.<name>.*`` describe it; its bias is never left to others here."""
+
+    name: str
+    depth_topic: str
+    info_topic: str
+    pose_topic: str
+    transport: str
+    frame: str
+    pose: tuple[float, ...]
+    rate: float
+    bias_constant: float
+    bias_quadratic: float
+    bias_normal: float
+
+
+@dataclass(frozen=True)
 class Settings:
-    """All parameters of the node, checked and converted. Lengths in metres, times in seconds, angles in radians."""
+    """All parameters of the node, checked and converted. Lengths in metres, times in seconds, angles in radians.
+
+    Where a camera is meant, the settings are those :meth:`of` it, and ``camera`` is its name.
+    """
 
     pipeline: str
     variant: str
@@ -183,6 +204,41 @@ class Settings:
     sun_map_hours: float
     sun_map_step: float
     sun_map_period: float
+    cameras: tuple[CameraSettings, ...] = ()
+    camera: str = ""
+    camera_rate: float = 0.0
+
+    def of(self, camera: str) -> Settings:
+        """The settings with which images of a camera are answered; "" is the one without a name."""
+        return self if camera == self.camera else self._by_camera[camera]
+
+    @cached_property
+    def _by_camera(self) -> dict[str, Settings]:
+        return {
+            each.name: replace(
+                self,
+                camera=each.name,
+                camera_frame=each.frame,
+                camera_pose=each.pose,
+                camera_rate=each.rate,
+                depth_image_transport=each.transport,
+                bias_constant=each.bias_constant,
+                bias_quadratic=each.bias_quadratic,
+                bias_normal=each.bias_normal,
+            )
+            for each in self.cameras
+        }
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of all cameras; of the only one that has none it is ""."""
+        return tuple(each.name for each in self.cameras) or ("",)
+
+    @property
+    def samples(self) -> str:
+        """Name of the tracer's set of samples: that of the camera. Where none is meant, questions about points share
+        that of the first one."""
+        return self.camera or self.camera_names[0]
 
     @property
     def bounds(self) -> Bounds:
@@ -193,6 +249,7 @@ class Settings:
             max_lights=self.max_lights,
             queue_capacity=self.queue_capacity,
             grid_entries=self.grid_entries,
+            max_sample_sets=len(self.camera_names),
         )
 
     @property

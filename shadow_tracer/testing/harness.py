@@ -79,6 +79,7 @@ class Harness(Friend):
         self.process: NodeProcess | None = None
         self._given = dict(parameters or {}), tuple(arguments)
         self._separate = process
+        self._named = False
         self._namespace = namespace
         self.stamp = 1_000_000_000_000
         try:
@@ -126,6 +127,7 @@ class Harness(Friend):
         if self.node is not None or self.process is not None:
             raise RuntimeError("start: the node has been started already")
         values = {**self.defaults, **self._given[0], **(parameters or {})}
+        self._named = any(values.get("camera_names", ()))
         arguments = [*self._given[1], *arguments]
         if self._separate:
             space = ["-r", f"__ns:=/{self._namespace.strip('/')}"] if self._namespace else []
@@ -141,6 +143,7 @@ class Harness(Friend):
             context=self.context, parameter_overrides=overrides, cli_args=cli, namespace=self._namespace or None
         )
         self._left.callback(_close_node, node)
+        self._named = bool(node.settings.cameras)
         self.executor.add_node(node)
         if wait:
             self.until(lambda: node.ready, timeout, "the node is ready")
@@ -148,9 +151,11 @@ class Harness(Friend):
         return node
 
     def connected(self, timeout: float = TIMEOUT) -> None:
-        """Wait until the node's inputs and outputs are matched."""
-        publishers = (self.depth, self.info, self.mesh, self.pose)
+        """Wait until the node's inputs and outputs are matched; those of cameras with names are not looked at."""
+        publishers = (self.mesh,) if self._named else (self.depth, self.info, self.mesh, self.pose)
         self.until(lambda: all(p.get_subscription_count() for p in publishers), timeout, "the node subscribes")
+        if self._named:
+            return
         topics = [self.friend.resolve_topic_name(f"{NAME}/{name}") for name in ("mask", "timing", "camera_info")]
         self.until(lambda: all(self.friend.count_publishers(t) for t in topics), timeout, "the node publishes")
         heard = {s.topic_name: s for s in self.friend.subscriptions}

@@ -95,6 +95,20 @@ def test_the_numbers_too_and_nothing_is_cut(rig: Rig, capsys: pytest.CaptureFixt
     assert out.count("rate [Hz]: 30.0") == 5 and 50 * "long " in out
 
 
+def test_a_node_with_several_cameras() -> None:
+    """One more status for each further camera; anything else in between is another program's."""
+
+    def named(*names: str) -> DiagnosticArray:
+        return DiagnosticArray(status=[DiagnosticStatus(name=f"robot/shadow_tracer: {name}") for name in names])
+
+    cameras = ("input depth front", "input depth rear")
+    array = named(*cameras, *NAMES[1:])
+    assert status.node_of(array) == "robot/shadow_tracer"
+    assert [line.partition(" ")[2].strip() for line in status.lines(array)] == [*cameras, *NAMES[1:]]
+    assert status.node_of(named(*NAMES[1:])) == status.node_of(named(*cameras)) == ""
+    assert status.node_of(named("battery", *NAMES)) == status.node_of(named()) == ""
+
+
 def test_one_of_several_nodes(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
     messages = [array_of({"device": 2}), array_of({}, "front/shadow_tracer")]
     assert ask(rig, messages, "--node", "/front/shadow_tracer") == 0

@@ -44,6 +44,7 @@ WITHOUT_ROS = {
     "test_sun.py",
     "test_transform_tree.py",
     "test_transport.py",
+    "test_turns_and_rates.py",
 }
 HAS_ROS = all(importlib.util.find_spec(name) for name in ("rclpy", "sensor_msgs", "shape_msgs", "diagnostic_msgs"))
 

@@ -65,9 +65,14 @@ def load_settings(names: Names, files: Sequence[Path], given: Sequence[str]) -> 
     values, former = renamed(parameters_of(names.node, files, given))
     if problems := problems_in(values):
         raise ValueError("\n".join(problems))
-    lights = light_names(values)
+    settings, lights = settings_from(values), light_names(values)
+    if settings.cameras:
+        raise ValueError(
+            f"camera_names: a bag is read for one camera at a time, got [{', '.join(settings.camera_names)}]; run it "
+            "once for each, with --param \"camera_names:=['']\" and --remap depth/image_rect:=..."
+        )
     ours = [name for name in values if not name.startswith(_NOT_OURS)]
-    return settings_from(values), former + unknown_names(ours, names_for(lights), lights)
+    return settings, former + unknown_names(ours, names_for(lights), lights)
 
 
 def perform(chosen: argparse.Namespace) -> int:

@@ -15,12 +15,18 @@ if TYPE_CHECKING:
 POLICIES = ("auto", "exact", "latest")
 _PAIRED = 2  # so many images before this one had their camera_info: it will have one, too
 _SETTLED = 8  # so many images later a camera_info that differs from the one before it is believed
+_REMAP = "remap depth/camera_info to its topic"
 
 
 class CameraInfos:
-    """The last ones that arrived, a bounded number of them."""
+    """The last ones that arrived, a bounded number of them.
 
-    def __init__(self) -> None:
+    Args:
+        cure: what helps where none arrives.
+    """
+
+    def __init__(self, cure: str = _REMAP) -> None:
+        self._cure = cure
         self._kept: OrderedDict[int, tuple[CameraInfo, tuple[Any, ...]]] = OrderedDict()
         self._images: deque[int] = deque(maxlen=32)
         self._agreeing = True  # the newest one and the one that arrived before it
@@ -28,7 +34,7 @@ class CameraInfos:
 
     def clear(self) -> None:
         """Forget all."""
-        self.__init__()  # type: ignore[misc]
+        self.__init__(self._cure)  # type: ignore[misc]
 
     def put(self, info: CameraInfo, capacity: int) -> None:
         """Remember one, the last of each stamp, and at most ``capacity`` of them."""
@@ -62,9 +68,7 @@ class CameraInfos:
             Missing: none has arrived, or none that fits.
         """
         if not self._kept:
-            raise Missing(
-                DEPTH, "no camera_info has arrived; start its publisher, or remap depth/camera_info to its topic"
-            )
+            raise Missing(DEPTH, f"no camera_info has arrived; start its publisher, or {self._cure}")
         last = next(reversed(self._kept.values()))[0]
         if policy == "latest":
             return last

@@ -47,6 +47,9 @@ class FrameQueue:
     More than one has to wait because a frame whose transform comes late would otherwise be displaced for ever by frames
     whose transforms come later still.
 
+    Args:
+        camera: name of the camera, "" if it has none.
+
     Attributes:
         every: whether all frames are answered in order, or always the newest.
         dropped: frames that were not answered.
@@ -55,11 +58,11 @@ class FrameQueue:
     CAPACITY = 8
     CAPACITY_EVERY = 256
 
-    def __init__(self) -> None:
+    def __init__(self, camera: str = "") -> None:
         self.every = False
         self.dropped = 0
         self._frames: deque[WaitingFrame] = deque()
-        self._infos = CameraInfos()
+        self._infos = CameraInfos(f"set cameras.{camera}.info_topic") if camera else CameraInfos()
 
     def __len__(self) -> int:
         return len(self._frames)

@@ -15,6 +15,7 @@ from rclpy.node import Node
 
 from shadow_tracer import ShadowTracer
 from shadow_tracer.ros import diagnostics
+from shadow_tracer.ros.cameras.fair_turns import FairTurns
 from shadow_tracer.ros.node.answer import Answer
 from shadow_tracer.ros.node.dose import DoseOutputs, DoseServices
 from shadow_tracer.ros.node.ground import Ground
@@ -28,7 +29,7 @@ from shadow_tracer.ros.node.services import Services
 from shadow_tracer.ros.node.tracer_host import Outcome, TracerHost
 from shadow_tracer.ros.parameters.parameter_server import ParameterServer
 from shadow_tracer.ros.settings import Settings
-from shadow_tracer.ros.world.exposure import Exposure
+from shadow_tracer.ros.world.exposure import LONGEST, Exposure
 from shadow_tracer.ros.world.frames import Frames, Tf2
 from shadow_tracer.ros.world.marker_feed import Markers
 from shadow_tracer.ros.world.scene_markers import world_name
@@ -65,9 +66,11 @@ class Core:
         self.frames = Frames(lambda: Tf2(node))
         self.queries = Queries(self.frames, self.inputs.meshes.store, self.inputs.lighting)
         self.inputs.connect(self.frames, self.queries)
-        self.processor = Processor(self.inputs.queue, self.frames, self.inputs.meshes.store, self.inputs.lighting)
+        world = self.frames, self.inputs.meshes.store, self.inputs.lighting
+        self.processors = {name: Processor(camera.queue, *world) for name, camera in self.inputs.cameras.items()}
+        self._turns = FairTurns(self.processors)
         self.host = TracerHost(self.wake)
-        self.outputs = Outputs(node)
+        self.outputs = Outputs(node, self.inputs.cameras)
         self.exposure, self.dose = Exposure(), DoseOutputs(node)
         self.markers = Markers(
             self.outputs.scene_markers, self.outputs.light_markers, self.inputs.meshes.store, self.inputs.lighting,
@@ -77,7 +80,7 @@ class Core:
             self.frames, self.inputs.meshes.store, self.inputs.lighting, self.outputs.shadow_grid, self.outputs.sun_map
         )
         self.health = Health(
-            self.label, self.inputs, self.frames, self.processor, self.queries, self.exposure, self.ground
+            self.label, self.inputs, self.frames, self.processors, self.queries, self.exposure, self.ground
         )
         self._services = Services(self), DoseServices(self)
         self._guard = node.create_guard_condition(self.guarded(self._step))
@@ -91,7 +94,9 @@ class Core:
         backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         self._jumps = node.get_clock().create_jump_callback(backward, post_callback=self.guarded(self._on_jump))
         self._warned = False
-        self._log = LogBridge(node.get_logger())
+        self._log = LogBridge(log := node.get_logger())
+        # A logger for each: of one, a camera would take the turns of another.
+        self._loggers = {name: log.get_child(name) if name else log for name in self.inputs.cameras}
         self.outputs.configure(server.settings)
 
     @property
@@ -125,7 +130,8 @@ class Core:
         """Listen no more; meshes that were received stay, what waits is dropped."""
         self.inputs.unsubscribe()
         self.frames.close()
-        self.inputs.queue.clear()
+        for camera in self.inputs.cameras.values():
+            camera.queue.clear()
         self.queries.clear()
         self.exposure.pause()
 
@@ -248,12 +254,12 @@ class Core:
         self.host.collect()
         tracer = self.host.tracer
         if tracer is None:
-            self.inputs.queue.keep_newest()
+            self.inputs.keep_newest()
             return
-        now, settings = time.monotonic(), self.settings
-        answer = self.processor.step(settings, tracer, now, self.now_ns())
+        settings = self.settings
+        camera, answer = self._next_answer(settings, tracer)
         if answer is not None:
-            self._publish(answer, settings)
+            self._publish(camera, answer, settings.of(camera))
             self._expose(answer, settings, tracer)
             self._note_choice(tracer.choice)
         if self.queries.about_cones and not self.host.ready_for_cones:  # they wait, frames do not wait longer
@@ -262,17 +268,28 @@ class Core:
         self.queries.step(
             settings, tracer, self.inputs.camera_frame, time.monotonic(), self.now_ns(), self.outputs.visibility.publish
         )
-        if answer is not None and len(self.inputs.queue):
-            self.wake()  # with process: every the next one may be complete
-        if len(self.inputs.queue) or len(self.queries):
+        if answer is not None and self.inputs.waiting:
+            self.wake()  # with process: every, or of another camera, the next one may be complete
+        if self.inputs.waiting or len(self.queries):
             self._retry.reset()
         else:
             self._retry.cancel()
 
+    def _next_answer(self, settings: Settings, tracer: ShadowTracer) -> tuple[str, Answer | None]:
+        """The answer to an image of the camera whose turn it is, and which camera that is; None if all wait."""
+        now, now_ns = time.monotonic(), self.now_ns()
+        for camera in self._turns.order():
+            answer = self.processors[camera].step(settings.of(camera), tracer, now, now_ns)
+            if answer is not None:
+                self._turns.answered(camera)
+                return camera, answer
+        return "", None
+
     def _expose(self, answer: Answer, settings: Settings, tracer: ShadowTracer) -> None:
         """Count the time since the last image, if everything is known of both."""
         if answer.missing is not None:
-            self.exposure.pause()
+            if not self.health.any_known(time.monotonic(), LONGEST):  # of another camera's images everything is known
+                self.exposure.pause()
             return
         lights = answer.traced.lights if answer.traced is not None else ()
         if self.exposure.note(settings, tracer, lights, self.now_ns()):
@@ -293,12 +310,12 @@ class Core:
         if choice.partition(":")[0] != before.partition(":")[0]:
             self.node.get_logger().info(f"pipeline auto chooses {choice}", throttle_duration_sec=1.0)
 
-    def _publish(self, answer: Answer, settings: Settings) -> None:
-        image = answer.frame.image
-        stages = answer.stages | self.outputs.publish(answer, settings)
+    def _publish(self, camera: str, answer: Answer, settings: Settings) -> None:
+        image, inputs, outputs = answer.frame.image, self.inputs.cameras[camera], self.outputs.cameras[camera]
+        stages = answer.stages | outputs.publish(answer, settings)
         total = (time.monotonic() - answer.frame.arrived) * 1e3
         latency = diagnostics.age_ms(answer.frame.stamp, self.now_ns())
-        self.health.note(answer, total, latency, time.monotonic())
+        self.health.cameras[camera].note(answer, total, latency, time.monotonic())
         stages["total"] = total
         numbers = {
             "age at publication [ms]": "-" if latency is None else f"{latency:.1f}",
@@ -306,13 +323,13 @@ class Core:
             "height": image.height,
         }
         numbers |= answer.numbers
-        numbers |= {"dropped": self.inputs.queue.dropped, "skipped before the node": self.inputs.losses.skipped}
+        numbers |= {"dropped": inputs.queue.dropped, "skipped before the node": inputs.losses.skipped}
         device = self.health.device.name
-        array = diagnostics.timing(self.label, device, image.header.stamp, answer.missing, stages, numbers)
-        self.outputs.timing.publish(array)
+        name = f"{self.label}/{camera}" if camera else self.label
+        array = diagnostics.timing(name, device, image.header.stamp, answer.missing, stages, numbers)
+        outputs.timing.publish(array)
         if answer.missing is not None:
-            text = f"mask unknown: {answer.missing.text}"
-            self.node.get_logger().warning(text, throttle_duration_sec=5.0)
+            self._loggers[camera].warning(f"mask unknown: {answer.missing.text}", throttle_duration_sec=5.0)
 
     def _mark(self) -> None:
         inputs, tracer, now = self.inputs, self.host.tracer, time.monotonic()

@@ -161,7 +161,7 @@ class Ground:
         points = _points(part, to_world, settings.grid_map_height_above)
         if lit.lights and len(points):
             tracer.front_face_culling = settings.front_face_culling
-            share[part.surface.valid] = tracer.visibility(points, lit.lights).max(axis=0)
+            share[part.surface.valid] = tracer.visibility(points, lit.lights, samples=settings.samples).max(axis=0)
         return _Seen(part, to_world, poses, when, share)
 
     def _unknown(self, part: GridPart, when: int, missing: Missing) -> _Seen:
@@ -304,6 +304,7 @@ def _tracer_for(part: GridPart, settings: Settings, like: ShadowTracer, known: S
         max_rays=min(settings.max_rays, needed),
         max_lights=1,
         grid_entries=min(settings.grid_entries, 8 * needed),
+        max_sample_sets=1,
     )
     options: dict[str, Any] = {"device": like.device, "bounds": bounds, "threads": like.threads}
     return ShadowTracer(*names, **options)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``/diagnostics`` says: five statuses, each with the numbers behind it and, if something is wrong, what helps."""
+"""What ``/diagnostics`` says: five statuses, with several cameras one for the depth images of each. Every one has the
+numbers behind it and, if something is wrong, what helps."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,8 +24,9 @@ from shadow_tracer.ros.diagnostics import (
     Missing,
     Window,
 )
-from shadow_tracer.ros.node.answer import MOST_BITS, Answer
+from shadow_tracer.ros.node.answer import MOST_BITS
 from shadow_tracer.ros.node.ground import Ground
+from shadow_tracer.ros.node.health_camera import CameraHealth
 from shadow_tracer.ros.node.health_inputs import Verdict, judge_depth, judge_mesh
 from shadow_tracer.ros.node.inputs import Inputs
 from shadow_tracer.ros.node.processing import Processor, named_in_vain
@@ -73,50 +76,28 @@ class Health:
     node: str
     inputs: Inputs
     frames: Frames
-    processor: Processor
+    processors: Mapping[str, Processor]
     queries: Queries
     exposure: Exposure
     ground: Ground
     device: DeviceState = field(default_factory=DeviceState)
     faults: Complaint = field(default_factory=Complaint)
-    traced: int = 0
-    unknown: int = 0
-    overflow_passes: int = 0
     time_jumps: int = 0
-    _overflow: Complaint = field(default_factory=Complaint)
-    _missing: Missing | None = None
-    _warning: str = ""
-    _model: str = ""
-    _dropped: int = 0
     _lost_images: int = 0
     _lost: Complaint = field(default_factory=Complaint)
-    _busy: Window = field(default_factory=Window)
-    _total: Window = field(default_factory=Window)
-    _latency: Window = field(default_factory=Window)
 
-    def note(self, answer: Answer, total: float, latency: float | None, now: float) -> None:
-        """Take over the outcome of a frame.
+    def __post_init__(self) -> None:
+        self.cameras = {name: CameraHealth(camera) for name, camera in self.inputs.cameras.items()}
 
-        Args:
-            total: its time in the node [ms].
-            latency: its age at publication [ms]; None if there is no time.
-            now: steady time [s].
-        """
-        self._missing = answer.missing
-        self._warning = answer.warning
-        self._model = answer.optics.model if answer.optics else ""
-        if answer.missing is not None:
-            self.unknown += 1
-            return
-        self.traced += 1
-        passes = int(answer.numbers.get("overflow_passes", 0))
-        if passes:
-            self.overflow_passes += passes
-            self._overflow.add(f"{passes} further passes", now)
-        self._busy.add(total - answer.stages.get("wait", 0.0))
-        self._total.add(total)
-        if latency is not None:
-            self._latency.add(latency)
+    @property
+    def traced(self) -> int:
+        """Frames that were traced, of all cameras."""
+        return sum(camera.traced for camera in self.cameras.values())
+
+    def any_known(self, now: float, within: float) -> bool:
+        """Whether everything is known of the last image of some camera, answered within so many seconds before the
+        steady time ``now``."""
+        return any(camera.known(now, within) for camera in self.cameras.values())
 
     def report(self, settings: Settings, doing: Doing, now: float, now_ns: int, stamp: Any) -> DiagnosticArray:
         """The message of ``/diagnostics``.
@@ -127,8 +108,8 @@ class Health:
             now_ns: time of the node's clock [ns].
             stamp: the same as a message.
         """
-        verdicts = {
-            DEPTH: judge_depth(self.inputs, settings, self._warning, self._model, self._busy.mean(), now),
+        verdicts = {_depth(name): judge_depth(camera, now) for name, camera in self.cameras.items()}
+        verdicts |= {
             MESH: judge_mesh(self.inputs, settings, now, now_ns),
             TRANSFORMS: self._judge_transforms(settings, now),
             DEVICE: self._judge_device(doing),
@@ -139,20 +120,31 @@ class Health:
         return array
 
     def _status(self, name: str, level: bytes, text: str, values: dict[str, Any]) -> DiagnosticStatus:
-        missing = self._missing or self.queries.missing or self.ground.missing
-        if missing is not None and missing.status == name and level <= missing.level:
-            level, text = missing.level, missing.text
+        for camera, missing in self._all_missing():
+            where = _depth(camera) if missing.status == DEPTH else missing.status
+            if where == name and level <= missing.level:
+                level, text = missing.level, missing.text if where != missing.status else _of(camera, missing.text)
+                break
         return diagnostics.status(f"{self.node}: {name}", level, diagnostics.cure_first(text), values, self.node)
+
+    def _all_missing(self) -> Iterator[tuple[str, Missing]]:
+        """What is missing: of the images of cameras, each with its name, and of queries and the ground."""
+        for name, camera in self.cameras.items():
+            if camera.missing is not None:
+                yield name, camera.missing
+        for missing in (self.queries.missing, self.ground.missing):
+            if missing is not None:
+                yield "", missing
 
     def _judge_transforms(self, settings: Settings, now: float) -> Verdict:
         inputs = self.inputs
-        topic, refused = inputs.topic("pose"), inputs.pose_refused
+        topics, refused = [camera.topic("pose") for camera in inputs.cameras.values()], inputs.pose_refused
         values = {
             "pose_source": settings.pose_source,
             "fixed_frame": settings.fixed_frame or "-",
             "tf": "listening" if self.frames.has_tf else "not used",
-            "camera_pose topic": topic,
-            "camera poses kept": len(self.frames.camera_poses),
+            "camera_pose topic": ", ".join(topics),
+            "camera poses kept": sum(map(len, self.frames.poses_of.values())),
             "lights placed by topics": ", ".join(inputs.lighting.moved()) or "-",
             "refused poses": refused.count,
             "last refusal": refused.text or "-",
@@ -160,7 +152,7 @@ class Health:
         if settings.pose_source == "tf" and settings.fixed_frame and not self.frames.has_tf and self.traced == 0:
             return ERROR, f"{NO_TF}no pose is known; set pose_source to topic or parameter", values
         lights = [name for name in inputs.subscriptions if name.startswith("light ")]
-        mismatch = inputs.mismatch("pose", *lights)
+        mismatch = inputs.mismatch(*(camera.key("pose") for camera in inputs.cameras.values()), *lights)
         if mismatch:
             return ERROR, mismatch, values
         if refused.recent(now):
@@ -195,21 +187,22 @@ class Health:
         return OK, f"{device.pipeline}/{device.variant} on {device.name}", values
 
     def _judge_processing(self, settings: Settings, doing: Doing, now: float, now_ns: int) -> Verdict:
-        queue, queries, processor = self.inputs.queue, self.queries, self.processor
-        dropped, self._dropped = queue.dropped - self._dropped, queue.dropped
+        cameras, queries = self.cameras.values(), self.queries
+        dropped = sum(camera.newly_dropped() for camera in cameras)
         if dropped and settings.process == "every":
             self._lost_images += dropped
             self._lost.add(f"{self._lost_images} images were dropped although process is every", now)
+        differing = sum(processor.differing for processor in self.processors.values())
         values = {
             "traced": self.traced,
-            "unknown": self.unknown,
-            "dropped": queue.dropped,
-            "waiting": len(queue),
-            "frame in node, mean / 95 % / max [ms]": self._total.summary(),
-            "age at publication, mean / 95 % / max [ms]": self._latency.summary(),
-            "overflow passes": self.overflow_passes,
-            "verified frames": processor.verified,
-            "differing": processor.differing,
+            "unknown": sum(camera.unknown for camera in cameras),
+            "dropped": sum(camera.input.queue.dropped for camera in cameras),
+            "waiting": self.inputs.waiting,
+            "frame in node, mean / 95 % / max [ms]": Window.summary_of([camera.total for camera in cameras]),
+            "age at publication, mean / 95 % / max [ms]": Window.summary_of([camera.latency for camera in cameras]),
+            "overflow passes": sum(camera.overflow_passes for camera in cameras),
+            "verified frames": sum(processor.verified for processor in self.processors.values()),
+            "differing": differing,
             "queries answered": queries.answered,
             "queries of which nothing is known": queries.unknown,
             "queries refused": queries.refused.count,
@@ -223,16 +216,19 @@ class Health:
         }
         if self.faults.recent(now):
             return ERROR, f"{self.faults.text}; the node goes on, please report this with its log", values
-        if processor.differing:
-            text = f"{processor.differing} pixels of verified frames differ between two pipelines; please report this"
+        if differing:
+            text = f"{differing} pixels of verified frames differ between two pipelines; please report this"
             return ERROR, text, values
         if doing is not None:
             what = "starting up" if doing[0] == "start" else doing[0]
             return OK, f"{what}: frames wait until kernels are ready", values
         if not now_ns:
             return WARN, _NO_CLOCK, values
-        if self._missing is not None:
-            return WARN, f"the last mask says unknown, see {self._missing.status!r}: {self._missing.text}", values
+        for name, camera in self.cameras.items():
+            if camera.missing is not None:
+                where = _depth(name) if camera.missing.status == DEPTH else camera.missing.status
+                text = f"the last mask says unknown, see {where!r}: {camera.missing.text}"
+                return WARN, _of(name, text), values
         if queries.missing is not None:
             return WARN, f"the last query has no answer, see {queries.missing.status!r}: {queries.missing.text}", values
         lost = self.ground.missing
@@ -260,9 +256,10 @@ class Health:
                 f"{self._lost.text}: they come faster than they can be answered; play the bag with a lower --rate, or "
                 "use `shadow_tracer bag`"
             )
-        if self._overflow.recent(now):
+        overflow = next((camera.overflow for camera in self.cameras.values() if camera.overflow.recent(now)), None)
+        if overflow is not None:
             return (
-                f"{self._overflow.text} were needed, which costs time, no answer; start with a larger "
+                f"{overflow.text} were needed, which costs time, no answer; start with a larger "
                 "bounds.queue_capacity, or bounds.grid_entries for light_grid"
             )
         if self.exposure.trouble:
@@ -275,3 +272,13 @@ class Health:
         if len(settings.lights) > MOST_LIGHTS and queries.answered:
             return f"query/visibility has {MOST_LIGHTS} bits: it leaves out all later lights; name fewer"
         return ""
+
+
+def _depth(camera: str) -> str:
+    """Name of the status about the depth images of a camera."""
+    return f"{DEPTH} {camera}" if camera else DEPTH
+
+
+def _of(camera: str, text: str) -> str:
+    """A text that says which camera it is about, if it has a name."""
+    return f"camera {camera}: {text}" if camera else text

@@ -13,6 +13,8 @@ from shadow_tracer.ros.wire.parts import FILES
 from shadow_tracer.ros.world.mesh_sources import TOPICS
 
 if TYPE_CHECKING:
+    from shadow_tracer.ros.node.camera_input import CameraInput
+    from shadow_tracer.ros.node.health_camera import CameraHealth
     from shadow_tracer.ros.node.inputs import Inputs
 
 _SILENT = 3.0  # seconds after which an input counts as silent
@@ -21,56 +23,56 @@ _MUCH = 0.1  # share of images that the transport may lose before it is said
 Verdict = tuple[bytes, str, dict[str, Any]]
 
 
-def judge_depth(inputs: Inputs, settings: Settings, warning: str, model: str, busy_ms: float, now: float) -> Verdict:
-    """The status ``input depth``.
+def judge_depth(camera: CameraHealth, now: float) -> Verdict:
+    """The status ``input depth`` of a camera.
 
     Args:
-        warning: what is doubtful about the last frame that was traced.
-        model: distortion model that its rays came from, "" if they were those of a pinhole.
-        busy_ms: mean time the node works on a frame [ms].
         now: steady time [s].
     """
+    inputs = camera.input
     depth, topic = inputs.depth, inputs.topic("depth")
     rate, age = depth.rate(now), depth.age(now)
-    lost, sent = inputs.losses.lost_share(now, busy_ms)
+    lost, sent = inputs.losses.lost_share(now, camera.busy.mean())
     values = {
         "topic": topic,
         "camera_info topic": inputs.topic("info"),
         "rate [Hz]": f"{rate:.1f}",
         "age [s]": f"{age:.2f}",
-        "format": inputs.depth_format,
-        "distortion": model or "none",
+        "format": inputs.format,
+        "distortion": camera.model or "none",
         "received": depth.count,
-        "refused": inputs.depth_refused.count,
-        "last refusal": inputs.depth_refused.text or "-",
+        "refused": inputs.refused.count,
+        "last refusal": inputs.refused.text or "-",
         "skipped before the node": inputs.losses.skipped,
         "lost by the transport [%]": f"{100 * lost:.0f}",
     }
-    if not inputs.subscriptions:
+    values |= camera.values() if inputs.name else {}
+    if not inputs.listening:
         return OK, "not listening: the node is not active", values
     mismatch = inputs.mismatch("depth", "info")
     if mismatch:
         return ERROR, mismatch, values
-    if inputs.depth_refused.recent(now):
-        return ERROR, f"image refused, {inputs.depth_refused.text}; correct the publisher of {topic}", values
+    if inputs.refused.recent(now):
+        return ERROR, f"image refused, {inputs.refused.text}; correct the publisher of {topic}", values
     if age > _SILENT:
-        hint = f"see `ros2 topic hz {topic}`, or remap depth/image_rect to the topic of the camera"
+        name = f"set cameras.{inputs.name}.depth_topic" if inputs.name else "remap depth/image_rect"
+        hint = f"see `ros2 topic hz {topic}`, or {name} to the topic of the camera"
         if depth.count == 0:
             return WARN, f"no depth image on {topic}; {hint}", values
         return WARN, f"no depth image for {age:.0f} s on {topic}; {hint}", values
     if lost > _MUCH:
         return WARN, _loss(inputs, lost, sent), values
-    if warning:
-        return WARN, warning, values
-    return OK, f"{inputs.depth_format} at {rate:.1f} Hz", values
+    if camera.warning:
+        return WARN, camera.warning, values
+    return OK, f"{inputs.format} at {rate:.1f} Hz", values
 
 
-def _loss(inputs: Inputs, share: float, rate: float) -> str:
+def _loss(inputs: CameraInput, share: float, rate: float) -> str:
     topic = inputs.topic("depth")
     lost = f"{100 * share:.0f} % of the images sent at {rate:.1f} Hz are lost"
-    if inputs.depth_bytes < LARGE or not inputs.subscriptions["depth"].best_effort:
+    if inputs.bytes < LARGE or not inputs.best_effort:
         return f"{lost}: the network or the machine is too busy; see `ros2 topic hz {topic}`"
-    size = f"{inputs.depth_bytes / 1e6:.1f} MB"
+    size = f"{inputs.bytes / 1e6:.1f} MB"
     return (
         f"{lost}: stock Fast DDS loses best effort messages of {size}, unless the driver of the camera has "
         f"FASTRTPS_DEFAULT_PROFILES_FILE={config_file('fastdds_large_images.xml')}; "

@@ -10,26 +10,24 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker, MarkerArray
 
-from shadow_tracer.ros.cameras.frame_queue import FrameQueue, WaitingFrame
-from shadow_tracer.ros.diagnostics import Complaint, RateMeter
+from shadow_tracer.ros.diagnostics import Complaint
 from shadow_tracer.ros.node import qos
+from shadow_tracer.ros.node.camera_input import CameraInput, reader
 from shadow_tracer.ros.node.queries import Queries
 from shadow_tracer.ros.node.subscriptions import AbsentSubscription, FollowingSubscription
-from shadow_tracer.ros.node.transport import LossMeter
 from shadow_tracer.ros.settings import Settings
-from shadow_tracer.ros.wire import compressed_depth
 from shadow_tracer.ros.wire.layouts import grid_map_type
-from shadow_tracer.ros.wire.messages import MessageError, camera_pose, decode_depth, in_unit, pose_matrix, stamp_ns
-from shadow_tracer.ros.world.frames import Frames
+from shadow_tracer.ros.wire.messages import MessageError, pose_matrix
+from shadow_tracer.ros.world.frames import Frames, PoseBuffer
 from shadow_tracer.ros.world.lighting import Lighting, LightPose
 from shadow_tracer.ros.world.mesh_sources import MeshSources
 
-BACKWARD_STAMPS = 1_000_000_000  # images this much older than the last one mean a restarted bag, not a late message
+_ALIVE = 3.0  # a camera that has sent nothing for so many seconds does not count
+_EACH_TURN = 12  # so many publishers more, and one more is looked after each time
 
 _MESH_KINDS = {"mesh": Mesh, "mesh_markers": MarkerArray, "mesh_marker": Marker, "mesh_cloud": PointCloud2}
 _NO_GRID_MAP = (
@@ -49,46 +47,47 @@ class Inputs:
         restarted: called with a sentence when the images start again at an earlier time.
 
     Attributes:
-        depth: meter of depth images, good or not.
-        losses: gaps in their numbers.
-        depth_refused, pose_refused: images and poses that cannot be used.
-        depth_format: encoding and size of the last good image.
-        depth_bytes: bytes of its pixels.
+        cameras: what comes of each camera, by name; "" is the name of a single one that has none.
+        pose_refused: poses, of cameras and lights, that cannot be used.
         absent: what cannot be subscribed to, because there is no such type here.
-        camera_frame: its frame, "" before there is one.
-        last_stamp: its stamp [ns], 0 before there is one.
+        last_stamp: stamp of the last image of any camera [ns], 0 before there is one.
     """
 
     def __init__(
         self, node: Node, guarded: Callable[[Callable[..., None]], Callable[..., None]],
         settings: Callable[[], Settings], work: Callable[[], None], restarted: Callable[[str], None],
     ) -> None:  # fmt: skip
-        self.queue = FrameQueue()
+        self.node = node
+        self.settings = settings
         self.meshes = MeshSources(settings().max_triangles, settings().grid_map_layer)
         self.lighting = Lighting()
-        self.depth = RateMeter()
-        self.losses = LossMeter()
-        self.depth_refused = Complaint()
         self.pose_refused = Complaint()
-        self.depth_format = "-"
-        self.depth_bytes = 0
-        self.camera_frame = ""
         self.subscriptions: dict[str, FollowingSubscription] = {}
         self.absent: dict[str, AbsentSubscription] = {}
-        self._node = node
+        self.last_stamp = 0
+        self.cameras = {name: CameraInput(name, self) for name in settings().camera_names}
         self._guarded = guarded
-        self._settings = settings
         self._work = work
         self._restarted = restarted
-        self.last_stamp = 0
+        self._jumps: dict[str, float] = {}
         self._next_match = 0
-        self._transport = ""
         self.meshes.layouts.check()
 
     def connect(self, frames: Frames, queries: Queries) -> None:
         """Where camera poses and queries go."""
-        self._frames = frames
+        self.frames = frames
         self._queries = queries
+        frames.poses_of.update({name: PoseBuffer() for name in self.cameras})
+
+    @property
+    def camera_frame(self) -> str:
+        """Optical frame of the depth images, "" before there is one; of several cameras none is more than others."""
+        return next(iter(self.cameras.values())).frame if len(self.cameras) == 1 else ""
+
+    @property
+    def waiting(self) -> int:
+        """Images that wait, of all cameras."""
+        return sum(len(camera.queue) for camera in self.cameras.values())
 
     def subscribe(self) -> None:
         """Begin to listen."""
@@ -96,17 +95,13 @@ class Inputs:
         # before an image is to count for it.
         for name, kind in _MESH_KINDS.items():
             profile = qos.newest_reliable() if name == "mesh" else qos.burst()
-            self._add(name, kind, name, partial(self._on_mesh, name), profile, durability=True)
+            self.add(name, kind, name, partial(self._on_mesh, name), profile, durability=True)
         self._subscribe_grid_map()
-        self._subscribe_depth(self._settings().depth_image_transport)
-        read = self._reader(CameraInfo, self.depth_refused, "camera_info", self._on_info)
-        follow = {"reliability": True, "durability": True}
-        self._add("info", CameraInfo, "depth/camera_info", read, qos.newest_reliable(), **follow)
-        read = self._reader(PoseStamped, self.pose_refused, "camera_pose", self._on_camera_pose)
-        self._add("pose", PoseStamped, "camera_pose", read, qos.history_of_sensor())
-        read = self._reader(PointCloud2, self._queries.refused, "query", self._on_query)
-        self._add("query", PointCloud2, "query", read, qos.burst())
-        self.configure(self._settings())
+        for camera in self.cameras.values():
+            camera.subscribe()
+        read = reader(PointCloud2, self._queries.refused, "query", self._on_query)
+        self.add("query", PointCloud2, "query", read, qos.burst())
+        self.configure(self.settings())
 
     def unsubscribe(self) -> None:
         """Listen to nothing any more."""
@@ -116,31 +111,28 @@ class Inputs:
 
     def configure(self, settings: Settings) -> None:
         """Follow new settings: order of processing, and which lights there are."""
-        self.queue.every = settings.process == "every"
-        now, now_ns = time.monotonic(), self._node.get_clock().now().nanoseconds
+        now, now_ns = time.monotonic(), self.node.get_clock().now().nanoseconds
         self.meshes.choose_layer(settings.grid_map_layer, now, now_ns)
+        for camera in self.cameras.values():
+            camera.configure(settings.of(camera.name))
         if not self.subscriptions:
             return
-        if settings.depth_image_transport != self._transport:
-            self.subscriptions.pop("depth").close()
-            self._subscribe_depth(settings.depth_image_transport)
-        profile = qos.every_reliable() if self.queue.every else qos.newest_reliable()
-        for name in ("mesh", "depth", "info"):
-            self.subscriptions[name].ask(profile.depth)
+        profile = qos.every_reliable() if settings.process == "every" else qos.newest_reliable()
+        self.subscriptions["mesh"].ask(profile.depth)
         movable = {f"light {light.name}": light.name for light in settings.lights if light.type != "sun"}
         for key in [key for key in self.subscriptions if key.startswith("light ") and key not in movable]:
             self.subscriptions.pop(key).close()
         for key, name in movable.items():
             if key not in self.subscriptions:
                 topic = f"lights/{name}/pose"
-                read = self._reader(PoseStamped, self.pose_refused, topic, partial(self._on_light_pose, name))
-                self._add(key, PoseStamped, f"~/{topic}", read, qos.newest_of_pose())
+                read = reader(PoseStamped, self.pose_refused, topic, partial(self._on_light_pose, name))
+                self.add(key, PoseStamped, f"~/{topic}", read, qos.newest_of_pose())
 
     def match(self) -> None:
-        """Look after the publishers of one subscription, another one each time."""
+        """Look after the publishers of one subscription, or a few of many, others each time."""
         found: list[FollowingSubscription | AbsentSubscription]
         found = [*self.subscriptions.values(), *self.absent.values()]
-        if found:
+        for _ in range(min(len(found), 1 + len(found) // _EACH_TURN)):
             self._next_match = (self._next_match + 1) % len(found)
             found[self._next_match].match()
 
@@ -158,97 +150,57 @@ class Inputs:
     def restart(self, now_ns: int) -> None:
         """Time has jumped: nothing that waits is of the present."""
         self.last_stamp = 0
-        self.queue.clear()
+        for camera in self.cameras.values():
+            camera.restart()
+        self._jumps.clear()
         self._queries.clear()
         self.meshes.store.restart_age(now_ns)
 
-    def _add(self, name: str, kind: Any, topic: str, callback: Callable[..., None], profile: Any, **how: bool) -> None:
+    def add(self, name: str, kind: Any, topic: str, callback: Callable[..., None], profile: Any, **how: bool) -> None:
+        """Subscribe; ``how`` as for :class:`FollowingSubscription`."""
         self.subscriptions[name] = FollowingSubscription(
-            self._node, kind, topic, self._guarded(callback), profile, **how
+            self.node, kind, topic, self._guarded(callback), profile, **how
         )
 
     def _subscribe_grid_map(self) -> None:
         kind = grid_map_type()
         if kind is None:
-            self.absent["grid_map"] = AbsentSubscription(self._node, "grid_map", _NO_GRID_MAP)
+            self.absent["grid_map"] = AbsentSubscription(self.node, "grid_map", _NO_GRID_MAP)
             return
         callback, follow = partial(self._on_mesh, "grid_map"), {"reliability": True, "durability": True}
-        self._add("grid_map", kind, "grid_map", callback, qos.newest_reliable(), **follow)
+        self.add("grid_map", kind, "grid_map", callback, qos.newest_reliable(), **follow)
 
-    def _subscribe_depth(self, transport: str) -> None:
-        self._transport = transport
-        self.losses = LossMeter()
-        topic, kind = "depth/image_rect", Image
-        if transport != "raw":
-            topic, kind = self._sibling(topic, transport), CompressedImage
-        self._add("depth", kind, topic, partial(self._read_depth, kind), qos.newest_reliable(), reliability=True)
-
-    def _sibling(self, topic: str, transport: str) -> str:
-        """Where image_transport publishes an image packed: beside its topic after remapping, if it is not remapped
-        itself."""
-        sibling = f"{topic}/{transport}"
-        resolve = self._node.resolve_topic_name
-        remapped = resolve(sibling) != resolve(sibling, only_expand=True)
-        return str(resolve(sibling) if remapped else f"{resolve(topic)}/{transport}")
-
-    # Everything arrives as bytes: rclpy drops what it cannot read without a word, here it is counted and explained.
-
-    @staticmethod
-    def _reader(kind: Any, refused: Complaint, what: str, callback: Callable[[Any], None]) -> Callable[[bytes], None]:
-        def read(data: bytes) -> None:
-            try:
-                message = deserialize_message(data, kind)
-            except Exception as error:  # RMWError, UnicodeDecodeError, and what other middleware may raise
-                text = f"{what}: these {len(data)} bytes are no {kind.__name__}: {error}"
-                refused.add(text, time.monotonic())
-                return
-            callback(message)
-
-        return read
-
-    def _read_depth(self, kind: Any, data: bytes, info: dict[str, Any]) -> None:
-        number = info.get("publication_sequence_number") or 0
-        alone = self.subscriptions["depth"].publisher_count == 1
-        self.losses.note(number, time.monotonic(), alone)
-        start = time.perf_counter()
-        self._reader(kind, self.depth_refused, "image", partial(self._on_depth, start=start))(data)
-
-    def _on_depth(self, msg: Image | CompressedImage, start: float) -> None:
-        now, stamp = time.monotonic(), stamp_ns(msg.header.stamp)
-        self.depth.tick(now)
-        try:
-            image, depth = _unpacked(msg, self._settings())
-        except MessageError as error:
-            self.depth_refused.add(str(error), now)
-            return
-        if stamp < self.last_stamp - BACKWARD_STAMPS:
-            self._restarted(f"depth images start again {(self.last_stamp - stamp) * 1e-9:.1f} s earlier")
-        self.last_stamp = stamp
-        packed = "" if image is msg else f", {self._transport}"
-        self.depth_format = f"{image.encoding} {image.width} x {image.height}{packed}"
-        self.depth_bytes = len(msg.data)
-        self.camera_frame = self._settings().camera_frame or msg.header.frame_id
-        # Frames that wait in line were taken before the meshes that come meanwhile.
-        parts = self.meshes.store.snapshot() if self.queue.every else None
-        decoding, topic = (time.perf_counter() - start) * 1e3, self.topic("depth")
-        self.queue.put(WaitingFrame(image, depth, stamp, now, decoding, parts, topic))
+    def note_image(self, camera: CameraInput) -> None:
+        """A good image of a camera waits."""
+        self.last_stamp = camera.last_stamp
+        self.frames.note_camera(camera.name, camera.frame)
         self._work()
 
-    def _on_info(self, msg: CameraInfo) -> None:
-        self.queue.put_info(msg)
-        self._wake()
+    def note_jump(self, camera: CameraInput, why: str) -> None:
+        """The images of a camera start again at an earlier time: nothing that waits of it is of the present. If all
+        cameras that send anything have done so, that is a recording that begins again, and nothing else is either."""
+        now = time.monotonic()
+        self._jumps[camera.name] = now
+        self._jumps = {name: then for name, then in self._jumps.items() if now - then < _ALIVE}
+        if all(name in self._jumps or each.depth.age(now) > _ALIVE for name, each in self.cameras.items()):
+            self._restarted(why)
+            return
+        camera.restart()
+        self.frames.poses_of[camera.name].clear()
+        self.node.get_logger().info(f"camera {camera.name}: {why}: what waited of it, and its poses, are cleared")
+
+    def keep_newest(self) -> None:
+        """Drop all images but the last of each camera; with ``process: every`` none."""
+        for camera in self.cameras.values():
+            camera.queue.keep_newest()
+
+    def wake(self) -> None:
+        """Something has come that images or queries may wait for."""
+        if self.waiting or len(self._queries):
+            self._work()
 
     def _on_mesh(self, topic: str, data: Any) -> None:
-        self.meshes.receive(topic, data, time.monotonic(), self._node.get_clock().now().nanoseconds)
-
-    def _on_camera_pose(self, msg: PoseStamped) -> None:
-        try:
-            stamp, pose = camera_pose(msg, self._settings().fixed_frame)
-        except MessageError as error:
-            self.pose_refused.add(f"camera_pose: {error}", time.monotonic())
-            return
-        self._frames.camera_poses.add(stamp, pose)
-        self._wake()
+        self.meshes.receive(topic, data, time.monotonic(), self.node.get_clock().now().nanoseconds)
 
     def _on_light_pose(self, name: str, msg: PoseStamped) -> None:
         try:
@@ -259,18 +211,5 @@ class Inputs:
         self.lighting.move(name, LightPose(msg.header.frame_id, pose))
 
     def _on_query(self, msg: PointCloud2) -> None:
-        self._queries.put(msg, self._settings().max_rays, time.monotonic())
+        self._queries.put(msg, self.settings().max_rays, time.monotonic())
         self._work()
-
-    def _wake(self) -> None:
-        if len(self.queue) or len(self._queries):
-            self._work()
-
-
-def _unpacked(msg: Image | CompressedImage, settings: Settings) -> tuple[Image, Any]:
-    """The image with its header, without pixels where it came packed; and its depth. Raises MessageError."""
-    if isinstance(msg, Image):
-        return msg, decode_depth(msg, settings.depth_unit)
-    depth = in_unit(compressed_depth.decode(msg.format, msg.data, settings.max_rays), settings.depth_unit)
-    encoding = msg.format.partition(";")[0].strip()
-    return Image(header=msg.header, height=depth.shape[0], width=depth.shape[1], encoding=encoding), depth

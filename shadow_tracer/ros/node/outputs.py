@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -28,35 +29,56 @@ _DEPTHS = {"lit": True, "shadowed": False}
 
 
 class Outputs:
-    """The publishers. Those of single lights come and go with the lights.
+    """The publishers, but for those of :class:`CameraOutputs`.
 
     Attributes:
+        cameras: those of each camera, by name.
         sun_map: None where there is no grid_map_msgs.
+    """
+
+    def __init__(self, node: Node, cameras: Iterable[str]) -> None:
+        self.cameras = {name: CameraOutputs(node, name) for name in cameras}
+        self.visibility = _publisher(node, PointCloud2, "~/query/visibility", qos.burst())
+        self.scene_markers = _publisher(node, MarkerArray, "~/scene_markers", qos.latched())
+        self.light_markers = _publisher(node, MarkerArray, "~/light_markers", qos.latched())
+        self.shadow_grid = _publisher(node, OccupancyGrid, "~/shadow_grid", qos.latched())
+        kind = grid_map_type()
+        self.sun_map = _publisher(node, kind, "~/sun_map", qos.latched()) if kind is not None else None
+        self.diagnostics = _publisher(node, DiagnosticArray, "/diagnostics", qos.report())
+
+    def configure(self, settings: Settings) -> None:
+        """Follow the lights of the settings."""
+        for camera in self.cameras.values():
+            camera.configure(settings)
+
+
+class CameraOutputs:
+    """The publishers of what is found of the images of one camera. Those of single lights come and go with the lights.
+
+    Args:
+        node: the node.
+        camera: name of the camera, under which the topics are; of one without a name there is no such part.
+
+    Attributes:
         lights, shares, powers: the masks, the visible shares and the irradiances, by light.
         infos: camera_info for them, by what stands before ``camera_info``: "mask/", "visibility/" and "irradiance/" are
             those that image_transport looks for beside every light's.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, camera: str) -> None:
         self._node = node
-        self.mask = self._publisher(Image, "~/mask")
-        self.info = self._publisher(CameraInfo, "~/camera_info")
-        self.bits = self._publisher(Image, "~/light_bits")
-        self.overlay = self._publisher(Image, "~/overlay")
-        self.irradiance = self._publisher(Image, "~/irradiance")
-        self.depths = {lit: self._publisher(Image, f"~/depth_{name}") for name, lit in _DEPTHS.items()}
-        self.visibility = self._publisher(PointCloud2, "~/query/visibility", qos.burst())
-        self.scene_markers = self._publisher(MarkerArray, "~/scene_markers", qos.latched())
-        self.light_markers = self._publisher(MarkerArray, "~/light_markers", qos.latched())
-        self.shadow_grid = self._publisher(OccupancyGrid, "~/shadow_grid", qos.latched())
-        kind = grid_map_type()
-        self.sun_map = self._publisher(kind, "~/sun_map", qos.latched()) if kind is not None else None
-        self.timing = self._publisher(DiagnosticArray, "~/timing", qos.report())
-        self.diagnostics = self._publisher(DiagnosticArray, "/diagnostics", qos.report())
+        self._under = f"~/{camera}/" if camera else "~/"
+        self.mask = self._publisher(Image, "mask")
+        self.info = self._publisher(CameraInfo, "camera_info")
+        self.bits = self._publisher(Image, "light_bits")
+        self.overlay = self._publisher(Image, "overlay")
+        self.irradiance = self._publisher(Image, "irradiance")
+        self.depths = {lit: self._publisher(Image, f"depth_{name}") for name, lit in _DEPTHS.items()}
+        self.timing = self._publisher(DiagnosticArray, "timing", qos.report())
         self.lights: dict[str, Publisher] = {}
         self.shares: dict[str, Publisher] = {}
         self.powers: dict[str, Publisher] = {}
-        self.infos = {kind: self._publisher(CameraInfo, f"~/{kind}camera_info") for kind in _KINDS}
+        self.infos = {kind: self._publisher(CameraInfo, f"{kind}camera_info") for kind in _KINDS}
 
     def configure(self, settings: Settings) -> None:
         """For each light a topic of its mask, of its visible share and of its irradiance, and none for others."""
@@ -66,8 +88,8 @@ class Outputs:
                 self._node.destroy_publisher(publishers.pop(name))
                 self._node.destroy_publisher(self.infos.pop(f"{kind}{name}/"))
             for name in sorted(names - set(publishers)):
-                publishers[name] = self._publisher(Image, f"~/{kind}{name}")
-                self.infos[f"{kind}{name}/"] = self._publisher(CameraInfo, f"~/{kind}{name}/camera_info")
+                publishers[name] = self._publisher(Image, f"{kind}{name}")
+                self.infos[f"{kind}{name}/"] = self._publisher(CameraInfo, f"{kind}{name}/camera_info")
 
     def publish(self, answer: Answer, settings: Settings) -> dict[str, float]:
         """Send what belongs to a frame, its camera_info last. Returns milliseconds by stage."""
@@ -112,9 +134,11 @@ class Outputs:
                     publisher.publish(info)
 
     def _publisher(self, kind: Any, topic: str, profile: QoSProfile | None = None) -> Publisher:
-        return self._node.create_publisher(
-            kind, topic, profile or qos.newest_reliable(), qos_overriding_options=qos.overridable()
-        )
+        return _publisher(self._node, kind, f"{self._under}{topic}", profile or qos.newest_reliable())
+
+
+def _publisher(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Publisher:
+    return node.create_publisher(kind, topic, profile, qos_overriding_options=qos.overridable())
 
 
 def _wanted(publisher: Publisher) -> bool:

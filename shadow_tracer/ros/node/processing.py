@@ -146,7 +146,7 @@ class Processor:
         numbers: dict[str, Any] = {}
         if job.lit.lights:
             tracer.front_face_culling = settings.front_face_culling
-            traced = tracer.trace(frame.depth, job.camera, job.lit.lights, bias=settings.bias)
+            traced = tracer.trace(frame.depth, job.camera, job.lit.lights, settings.bias, settings.samples)
             watch.lap("trace")
             watch.stages |= {f"trace.{name}": value for name, value in traced.stages.items()}
             numbers |= traced.counters | self._verify(settings, tracer, frame, job, watch)
@@ -170,7 +170,7 @@ class Processor:
         self._traced += 1
         if not settings.verify_every or self._traced % settings.verify_every:
             return {}
-        differing = tracer.verify(frame.depth, job.camera, job.lit.lights, bias=settings.bias)
+        differing = tracer.verify(frame.depth, job.camera, job.lit.lights, settings.bias, samples=settings.samples)
         watch.lap("verify")
         self.verified += 1
         self.differing += differing

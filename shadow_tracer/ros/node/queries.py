@@ -156,7 +156,7 @@ class Queries:
         if query.normals is not None:  # a normal of zeros moves nothing
             away = settings.bias_normal * settings.bias_constant
             points += away * (query.normals[known] @ to_world[:3, :3].T)
-        states = tracer.states_at(points, lit.lights, bias=settings.bias_constant)
+        states = tracer.states_at(points, lit.lights, settings.bias_constant, settings.samples)
         names = [light.name for light in settings.lights]
         placed = [(names.index(light.name), light) for light in lit.lights]
         for (place, _), state in zip(placed, states, strict=True):

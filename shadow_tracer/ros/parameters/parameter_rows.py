@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,8 @@ BOOL, INTEGER, DOUBLE, STRING = "bool", "integer", "double", "string"
 STRINGS, DOUBLES = "string array", "double array"
 
 
+NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")  # of a light or a camera
+NAME_TEXT = "letters, digits and single underscores, a letter first"
 _WIDEST_SLIDER = 1000.0  # a screen has some thousand pixels: beyond, each is more than a unit
 
 
@@ -27,7 +29,7 @@ class Parameter:
     """One row of the table.
 
     Attributes:
-        name: full name, or the key within ``lights.<name>``.
+        name: full name, or the key within ``lights.<name>`` or ``cameras.<name>``.
         type: one of the type words above.
         default: value if nothing is set.
         description: meaning, one or two sentences.
@@ -107,6 +109,26 @@ def convert(name: str, row: Parameter, value: Any) -> Any:
         wanted = f"{row.type} ({row.constraint})" if row.constraint else row.type
         raise ParameterError(f"{name}: expected {wanted}, got {value!r}")
     return value
+
+
+def convert_names(parameter: str, row: Parameter, value: Any, reserved: Sequence[str]) -> tuple[str, ...]:
+    """The names in a list of names; a lone empty string, the ROS way to write an empty list, is none.
+
+    Args:
+        reserved: names that are not allowed though they look like names.
+
+    Raises:
+        ParameterError: not a list of valid, different names.
+    """
+    names: tuple[str, ...] = convert(parameter, row, value)
+    if names == ("",):
+        return ()
+    for name in names:
+        if not NAME.fullmatch(name) or name in reserved:
+            raise ParameterError(f"{parameter}: expected names of {row.constraint}, got {name!r}")
+    if len(set(names)) != len(names):
+        raise ParameterError(f"{parameter}: expected different names, got {list(names)}")
+    return names
 
 
 def _sequence(value: Any) -> tuple[Any, ...] | None:

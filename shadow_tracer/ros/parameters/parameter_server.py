@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -67,7 +67,7 @@ class ParameterServer:
         problems = table.problems_in(self._overrides)
         if problems:
             raise table.ParameterError("\n".join(problems))
-        self._declare(table.names_for(table.light_names(self._overrides)))
+        self._declare(table.names_in(self._overrides))
         self.settings = table.settings_from(self._values())
         node.add_pre_set_parameters_callback(self._convert)
         node.add_on_set_parameters_callback(self._validate)
@@ -75,10 +75,12 @@ class ParameterServer:
 
     def warnings(self) -> list[str]:
         """Overrides under a former name, and those that have no effect, each with the nearest name that would."""
+        return self._renamed + self._unknown(self._overrides)
+
+    def _unknown(self, names: Iterable[str]) -> list[str]:
         known = list(self._node.list_parameters([], 0).names)
-        return self._renamed + table.unknown_names(
-            self._overrides, known, [light.name for light in self.settings.lights]
-        )
+        lights = [light.name for light in self.settings.lights]
+        return table.unknown_names(names, known, lights, [camera.name for camera in self.settings.cameras])
 
     def renamed(self, parameters: Sequence[Parameter]) -> list[Parameter]:
         """The parameters under their names of now; what had a former one is logged.
@@ -99,9 +101,7 @@ class ParameterServer:
         for parameter in parameters:
             row = table.row_of(parameter.name)
             if not self._node.has_parameter(parameter.name):
-                known = list(self._node.list_parameters([], 0).names)
-                lights = [light.name for light in self.settings.lights]
-                return "; ".join(table.unknown_names([parameter.name], known, lights))
+                return "; ".join(self._unknown([parameter.name]))
             if row is not None and row.read_only:
                 return f"{parameter.name} is read-only: {row.read_only}"
             try:
@@ -156,7 +156,7 @@ class ParameterServer:
     def _apply(self, parameters: list[Parameter]) -> None:
         if self._declaring or not any(table.row_of(parameter.name) for parameter in parameters):
             return
-        wanted = table.names_for(table.light_names(self._values()))
+        wanted = table.names_in(self._values())
         self._declare(wanted)
         for name in self._values():
             if name not in wanted:

@@ -7,24 +7,33 @@
 from __future__ import annotations
 
 import difflib
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from shadow_tracer import Bounds, available_pipelines
 from shadow_tracer.ros.cameras.camera_infos import POLICIES
+from shadow_tracer.ros.parameters.camera_parameters import (
+    CAMERA_NAMES,
+    CAMERA_PARAMETERS,
+    camera_names,
+    cameras_from,
+    check_rotation,
+)
 from shadow_tracer.ros.parameters.light_parameters import FRAME, FRAME_TEXT, LIGHT_PARAMETERS, light_from
 from shadow_tracer.ros.parameters.parameter_rows import (
     BOOL,
     DOUBLE,
     DOUBLES,
     INTEGER,
+    NAME,
+    NAME_TEXT,
     STRING,
     STRINGS,
     Parameter,
     ParameterError,
     convert,
+    convert_names,
 )
 from shadow_tracer.ros.settings import Settings
 from shadow_tracer.ros.wire.messages import DISTORTION, MILLIMETRE
@@ -32,15 +41,18 @@ from shadow_tracer.scene.bounds import LIMITS
 from shadow_tracer.scene.texels import SIDES
 
 __all__ = [
+    "CAMERA_PARAMETERS",
     "LIGHT_PARAMETERS",
     "PARAMETERS",
     "Parameter",
     "ParameterError",
+    "camera_names",
     "convert",
     "default_of",
     "light_names",
     "markdown_table",
     "names_for",
+    "names_in",
     "problems_in",
     "row_of",
     "settings_from",
@@ -52,8 +64,7 @@ _DEVICE = "buffers and kernels live on one device from the start; restart the no
 _THREADS = "buffers are cut into as many bands at the start; restart the node to change it"
 _DEVICE_NAME = re.compile(r"auto|cpu|cuda:\d+")
 _LAYER = re.compile(r".{1,200}", re.DOTALL)
-_LIGHT_NAME = re.compile(r"[A-Za-z](?:_?[A-Za-z0-9])*")
-_NO_LIGHT = "camera_info"  # ~/mask/camera_info is the camera_info of all masks
+_NO_LIGHTS = ("camera_info",)  # ~/mask/camera_info is the camera_info of all masks
 
 
 def _pipelines() -> tuple[str, ...]:
@@ -128,8 +139,8 @@ PARAMETERS: tuple[Parameter, ...] = (
               allowed=DISTORTION),
     Parameter("light_names", STRINGS, ("lamp",),
               "Names of the lights, each with its own group lights.<name>; [''] is none.",
-              pattern=_LIGHT_NAME,
-              pattern_text="letters, digits and single underscores, a letter first, not camera_info"),
+              pattern=NAME, pattern_text=f"{NAME_TEXT}, not {_NO_LIGHTS[0]}"),
+    CAMERA_NAMES,
     Parameter("bias.constant", DOUBLE, 0.02,
               "Shadow rays start this far from the surface. It hides depth noise and the gap between surface and "
               "mesh; too large loses contact shadows.", "m", 0.0, 1.0),
@@ -214,13 +225,16 @@ PARAMETERS: tuple[Parameter, ...] = (
 )  # fmt: skip
 
 _BY_NAME = {row.name: row for row in PARAMETERS}
-_BY_KEY = {row.name: row for row in LIGHT_PARAMETERS}
+_MEANT = {"cameras": "camera_names"}  # a list beside cameras.<name>.* would break `ros2 param dump`, as with lights
+_GROUPS = {"lights": LIGHT_PARAMETERS, "cameras": CAMERA_PARAMETERS}
+_BY_KEY = {group: {row.name: row for row in rows} for group, rows in _GROUPS.items()}
 
 
 def row_of(name: str) -> Parameter | None:
     """The row of a full parameter name such as ``bias.constant`` or ``lights.lamp.range``; None if there is none."""
-    if name.startswith("lights."):
-        return _BY_KEY.get(name.split(".", 2)[2]) if name.count(".") >= 2 else None
+    group, _, rest = name.partition(".")
+    if group in _BY_KEY:
+        return _BY_KEY[group].get(rest.partition(".")[2])
     return _BY_NAME.get(name)
 
 
@@ -230,22 +244,22 @@ def light_names(values: Mapping[str, Any]) -> tuple[str, ...]:
     Raises:
         ParameterError: not a list of valid, different names.
     """
-    names = convert("light_names", row := _BY_NAME["light_names"], values.get("light_names", row.default))
-    if names == ("",):
-        return ()
-    for name in names:
-        if not _LIGHT_NAME.fullmatch(name) or name == _NO_LIGHT:
-            raise ParameterError(f"light_names: expected names of {row.constraint}, got {name!r}")
-    if len(set(names)) != len(names):
-        raise ParameterError(f"light_names: expected different names, got {list(names)}")
-    return names
+    row = _BY_NAME["light_names"]
+    return convert_names("light_names", row, values.get("light_names", row.default), _NO_LIGHTS)
 
 
-def names_for(lights: Iterable[str]) -> list[str]:
-    """Full names of all parameters with these lights, in the order of the table."""
-    return [row.name for row in PARAMETERS] + [
-        f"lights.{light}.{row.name}" for light in lights for row in LIGHT_PARAMETERS
-    ]
+def names_for(lights: Iterable[str], cameras: Iterable[str] = ()) -> list[str]:
+    """Full names of all parameters with these lights and cameras, in the order of the table."""
+    return (
+        [row.name for row in PARAMETERS]
+        + [f"cameras.{camera}.{row.name}" for camera in cameras for row in CAMERA_PARAMETERS]
+        + [f"lights.{light}.{row.name}" for light in lights for row in LIGHT_PARAMETERS]
+    )
+
+
+def names_in(values: Mapping[str, Any]) -> list[str]:
+    """Full names of all parameters with the lights and cameras that values name. Raises ParameterError."""
+    return names_for(light_names(values), camera_names(values))
 
 
 def default_of(name: str) -> Any:
@@ -277,21 +291,20 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
             f"variant: expected one of {', '.join(variants)} for pipeline {checked['pipeline']}, or '' for its "
             f"default, got {checked['variant']!r}"
         )
-    length = math.sqrt(sum(value * value for value in checked["camera_pose"][3:]))
-    if not 0.99 <= length <= 1.01:
-        raise ParameterError(f"camera_pose: expected a unit quaternion qx qy qz qw, got one of length {length:.6g}")
+    check_rotation("camera_pose", checked["camera_pose"])
+    cameras = cameras_from(values, checked)
     lights = tuple(light_from(name, values) for name in names)
     try:
         Bounds(**{name: checked[f"bounds.{name}"] for name in LIMITS if f"bounds.{name}" in checked})
     except ValueError as error:  # of two that do not fit together
         raise ParameterError(str(error)) from error
-    del checked["light_names"]  # lights has them
+    del checked["light_names"], checked["camera_names"]  # lights and cameras have them
     for name in ("mesh.files", "mesh.cast_no_shadows", "dose.parts"):
         checked[name] = tuple(item for item in checked[name] if item)
     if len(set(checked["dose.parts"])) != len(checked["dose.parts"]):  # twice the dose
         raise ParameterError(f"dose.parts: expected different names, got {list(checked['dose.parts'])}")
     fields = {_FIELDS.get(name, name.replace(".", "_")): value for name, value in checked.items()}
-    return Settings(**{**fields, "lights": lights})
+    return Settings(**{**fields, "lights": lights, "cameras": cameras})
 
 
 _FIELDS = {"mask.unknown_value": "unknown_value"} | {
@@ -318,26 +331,31 @@ def problems_in(values: Mapping[str, Any]) -> list[str]:
     return problems
 
 
-def unknown_names(names: Iterable[str], known: Sequence[str], lights: Sequence[str]) -> list[str]:
+def unknown_names(
+    names: Iterable[str], known: Sequence[str], lights: Sequence[str], cameras: Sequence[str] = ()
+) -> list[str]:
     """Warnings for names that are not among the known ones, each with the nearest known name.
 
     Args:
         names: names that were given.
         known: names of all declared parameters.
-        lights: names of the lights.
+        lights, cameras: names of the lights and of the cameras.
     """
+    lists = {"lights": ("light_names", lights), "cameras": ("camera_names", cameras)}
     warnings = []
     for name in names:
         if name in known:
             continue
         parts = name.split(".", 2)
-        if row_of(name) is not None and parts[0] == "lights" and parts[1] not in lights:
-            warnings.append(
-                f"{name} has no effect: {parts[1]!r} is not in light_names {list(lights)}; add it there, or correct "
-                "the name"
-            )
-            continue
-        near = difflib.get_close_matches(name, known, 1, 0.5)
+        if row_of(name) is not None and parts[0] in lists:
+            parameter, there = lists[parts[0]]
+            if parts[1] not in there:
+                warnings.append(
+                    f"{name} has no effect: {parts[1]!r} is not in {parameter} {list(there)}; add it there, or correct "
+                    "the name"
+                )
+                continue
+        near = [_MEANT[name]] if name in _MEANT else difflib.get_close_matches(name, known, 1, 0.5)
         hint = f"did you mean {near[0]}?" if near else "see the parameter table in docs/node.md"
         warnings.append(f"{name} has no effect: there is no such parameter; {hint}")
     return warnings
@@ -346,7 +364,8 @@ def unknown_names(names: Iterable[str], known: Sequence[str], lights: Sequence[s
 def markdown_table() -> str:
     """The table as Markdown, with a final line feed."""
     lines = ["| Parameter | Type | Default | Allowed | Meaning |", "|---|---|---|---|---|"]
-    rows = [(row.name, row) for row in PARAMETERS] + [(f"lights.<name>.{row.name}", row) for row in LIGHT_PARAMETERS]
+    rows = [(row.name, row) for row in PARAMETERS]
+    rows += [(f"{group}.<name>.{row.name}", row) for group in ("cameras", "lights") for row in _GROUPS[group]]
     for name, row in rows:
         note = f" Read-only: {row.read_only}." if row.read_only else ""
         cells = (f"`{name}`", row.type, f"`{_yaml(row.default)}`", row.constraint, row.description + note)

@@ -5,6 +5,9 @@ Time is that of the node's clock between two images of which everything is known
 the image at its end; one longer than a second is a pause, and so is one in which the clock jumps, or that an image
 begins or ends of which nothing is known: these never count. Exposures are added once a second, with everything where it
 is then, and at once when a light changes; of what waits when a pause begins, up to a second, nothing is added.
+
+With several cameras the images of all count, and one of which nothing is known begins no pause while everything is
+known of another camera's.
 """
 
 from __future__ import annotations
@@ -98,7 +101,9 @@ class Exposure:
                     del self.maps[part]
                     trouble = f"part {part!r} has another mesh than before: its dose began again"
             if part not in self.maps:
-                self.maps[part] = DoseMap(tracer, part, settings.dose_max_edge, side=settings.dose_side)
+                self.maps[part] = DoseMap(
+                    tracer, part, settings.dose_max_edge, side=settings.dose_side, samples=settings.samples
+                )
             self.maps[part].add(self._lights, seconds)
         except ValueError as error:
             return f"dose of {part!r}: {error}"
@@ -164,7 +169,7 @@ class Exposure:
         folder = folder_of(settings)
         if not settings.dose_parts:
             raise ValueError("dose.parts: expected names of the parts whose dose maps are loaded, got none")
-        maps = {part: DoseMap.load(_path(folder, part)) for part in settings.dose_parts}
+        maps = {part: DoseMap.load(_path(folder, part), samples=settings.samples) for part in settings.dose_parts}
         for part, each in maps.items():
             if each.part != part:
                 raise ValueError(f"part: expected {part!r} in {str(_path(folder, part))!r}, got {each.part!r}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import time
 from bisect import bisect_left, insort
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -157,6 +157,7 @@ class Poses:
         camera_frame: optical frame of the depth image.
         camera: pose of the camera at a stamp [ns], None being that of the image; may raise Missing.
         lookup: frame, field and stamp to (4, 4) transform to the world; may raise Missing.
+        others: frame -> pose at a stamp, of the optical frames of other cameras that are not looked up.
     """
 
     def __init__(
@@ -165,11 +166,13 @@ class Poses:
         camera_frame: str,
         camera: Callable[[int | None], FloatArray],
         lookup: Callable[[str, str, int | None], FloatArray],
+        others: Mapping[str, Callable[[int | None], FloatArray]] | None = None,
     ) -> None:
         self.world = world
         self.camera_frame = frame_name(camera_frame)
         self._camera = camera
         self._lookup = lookup
+        self._others = others or {}
         self._kept: dict[tuple[str, int | None], FloatArray] = {}
 
     @property
@@ -193,6 +196,8 @@ class Poses:
             return _IDENTITY
         if frame == self.camera_frame:
             return self.camera_to_world if stamp is None else self._camera(stamp)
+        if frame in self._others:
+            return self._keep((frame, stamp), lambda: self._others[frame](stamp))
         if not self.world:
             raise Missing(TRANSFORMS, f"{field} is {frame!r} but fixed_frame is empty; set fixed_frame", False, ERROR)
         return self._keep((frame, stamp), lambda: self._lookup(frame, field, stamp))
@@ -216,6 +221,9 @@ class Frames:
         open_tf: called once tf is needed; may raise ImportError.
         static_period: seconds for which a transform is kept if it is static; 0 keeps none.
         clock: steady time [s].
+
+    Attributes:
+        poses_of: poses that came by topic, by camera.
     """
 
     def __init__(
@@ -224,7 +232,8 @@ class Frames:
         static_period: float = STATIC_PERIOD,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.camera_poses = PoseBuffer()
+        self.poses_of: dict[str, PoseBuffer] = {"": PoseBuffer()}
+        self._optical: dict[str, str] = {}
         self._open_tf = open_tf
         self._tf: TransformSource | None = None
         self._tried = False
@@ -232,6 +241,15 @@ class Frames:
         self._clock = clock
         # (target, source) -> transform if it is static, None if it is not; and when that was found out
         self._static: dict[tuple[str, str], tuple[FloatArray | None, float]] = {}
+
+    @property
+    def camera_poses(self) -> PoseBuffer:
+        """Poses that came of the camera without a name."""
+        return self.poses_of[""]
+
+    def note_camera(self, camera: str, frame: str) -> None:
+        """An image of a camera has come in this optical frame."""
+        self._optical[camera] = frame_name(frame)
 
     @property
     def has_tf(self) -> bool:
@@ -245,7 +263,8 @@ class Frames:
 
     def clear(self) -> None:
         """Forget everything that was received with a stamp: time has jumped back."""
-        self.camera_poses.clear()
+        for poses in self.poses_of.values():
+            poses.clear()
         self._static.clear()
         if self._tf is not None:
             self._tf.clear()
@@ -258,17 +277,18 @@ class Frames:
         self._tf, self._tried = None, False
 
     def at(self, settings: Settings, camera_frame: str, stamp: int, last_chance: bool = False) -> Poses:
-        """Poses at a stamp [ns] for a depth image in ``camera_frame``. What is missing is said by what is asked for."""
+        """Poses at a stamp [ns] for a depth image in ``camera_frame``. What is missing is said by what is asked for.
+
+        Args:
+            settings: those of the camera, where it has a name.
+        """
         camera_frame = frame_name(camera_frame)
         by_tf = settings.pose_source == "tf"
         world = settings.fixed_frame or (camera_frame if by_tf else "")
 
         def camera(at: int | None) -> FloatArray:
-            if settings.pose_source == "parameter":
-                return rigid(settings.camera_pose[:3], settings.camera_pose[3:], "camera_pose")
-            if settings.pose_source == "topic":
-                when = stamp if at is None else at
-                return self.camera_poses.nearest(when, settings.tf_timeout, last_chance)
+            if not by_tf:
+                return self._given(settings, stamp if at is None else at, last_chance)
             if world == camera_frame:
                 return np.eye(4)
             return self._lookup(
@@ -279,7 +299,27 @@ class Frames:
             hint = f"leave {field} empty and give its geometry in the fixed frame"
             return self._lookup(world, frame, stamp, at, field, hint)
 
-        return Poses(world, camera_frame, camera, lookup)
+        others = {} if by_tf else self._others(settings, stamp, last_chance)
+        return Poses(world, camera_frame, camera, lookup, others)
+
+    def _given(self, settings: Settings, stamp: int, last_chance: bool) -> FloatArray:
+        """Pose of a camera that does not come from tf."""
+        if settings.pose_source == "parameter":
+            return rigid(settings.camera_pose[:3], settings.camera_pose[3:], "camera_pose")
+        poses = self.poses_of.setdefault(settings.camera, PoseBuffer())
+        return poses.nearest(stamp, settings.tf_timeout, last_chance)
+
+    def _others(
+        self, settings: Settings, stamp: int, last_chance: bool
+    ) -> dict[str, Callable[[int | None], FloatArray]]:
+        """Poses of the cameras that have names, but for that of these settings, by their optical frames."""
+
+        def pose(camera: str) -> Callable[[int | None], FloatArray]:
+            of = settings.of(camera)
+            return lambda at: self._given(of, stamp if at is None else at, last_chance)
+
+        there = {camera: self._optical[camera] for camera in settings.camera_names if camera in self._optical}
+        return {frame: pose(camera) for camera, frame in there.items() if camera != settings.camera}
 
     def _open(self) -> TransformSource | None:
         if not self._tried:

@@ -69,7 +69,7 @@ def test_a_whole_life(rig: Rig) -> None:
     shadow = rig.trace(wall())
     assert (shadow == 0).sum() > 100
     waiting = rig.send_frame(wall(), info=False)
-    rig.until(lambda: len(rig.core.inputs.queue) == 1)
+    rig.until(lambda: len(rig.core.inputs.cameras[""].queue) == 1)
 
     assert change(rig, Transition.TRANSITION_DEACTIVATE)
     assert state(rig) == State.PRIMARY_STATE_INACTIVE
@@ -361,4 +361,4 @@ def test_masks_of_a_managed_node_reach_late_listeners(rig: Rig) -> None:
     activate(rig)
     rig.trace(wall())
     rig.until(lambda: into)
-    assert not rig.core.inputs.queue.dropped and image_msg(wall(), 0).height == into[0].height
+    assert not rig.core.inputs.cameras[""].queue.dropped and image_msg(wall(), 0).height == into[0].height

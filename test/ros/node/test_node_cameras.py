@@ -146,7 +146,7 @@ BESIDE = ("mask/camera_info", "mask/lamp/camera_info")
 def test_camera_info_beside_every_mask_is_sent_to_listeners_with_the_header_of_the_mask() -> None:
     with Rig({"light_names": ["lamp", "other"], "lights.other.enabled": False}) as rig:
         sent: list[tuple[str, CameraInfo]] = []
-        infos = rig.core.outputs.infos
+        infos = rig.core.outputs.cameras[""].infos
         kinds = ("mask", "visibility", "irradiance")
         names = {f"/shadow_tracer/{kind}/{light}camera_info" for kind in kinds for light in ("", "lamp/", "other/")}
         assert {publisher.topic_name for publisher in infos.values()} == names
@@ -160,7 +160,7 @@ def test_camera_info_beside_every_mask_is_sent_to_listeners_with_the_header_of_t
         assert rig.set(camera_info_policy="latest") == ""
         old = info_msg(WIDTH, HEIGHT, 17, frame="elsewhere")
         rig.info.publish(old)
-        rig.until(lambda: rig.core.inputs.queue._infos._kept.get(17), what="the other camera_info has come")
+        rig.until(lambda: rig.core.inputs.cameras[""].queue._infos._kept.get(17), what="the other camera_info has come")
         stamp = rig.send_frame(wall(), info=False)
         rig.mask_of(stamp)
         rig.until(lambda: all(heard.values()))

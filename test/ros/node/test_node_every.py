@@ -155,7 +155,7 @@ def test_frames_that_wait_are_not_lost_by_switching() -> None:
         old = [rig.next_stamp() for _ in range(3)]
         for stamp in old:
             rig.depth.publish(image_msg(wall(), stamp))
-            rig.until(lambda: rig.core.inputs.depth.count == old.index(stamp) + 1)  # noqa: B023
+            rig.until(lambda: rig.core.inputs.cameras[""].depth.count == old.index(stamp) + 1)  # noqa: B023
         assert rig.set(process="every") == ""
         rig.connected()
         for stamp in old:

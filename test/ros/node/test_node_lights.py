@@ -308,7 +308,7 @@ def test_the_part_of_a_light_that_is_seen(tracer: ShadowTracer, kind: str) -> No
         msg = rig.until(lambda: next((m for m in shares[before:] if nanoseconds(m.header.stamp) == stamp), None))
         assert np.isnan(np.frombuffer(msg.data, np.float32)).all()
         assert rig.set(light_names=["sky"]) == ""
-        assert "lamp" not in rig.core.outputs.shares and set(rig.core.outputs.infos) == {
+        assert "lamp" not in rig.core.outputs.cameras[""].shares and set(rig.core.outputs.cameras[""].infos) == {
             f"{kind}/{name}" for kind in ("mask", "visibility", "irradiance") for name in ("", "sky/")
         }
 
@@ -472,7 +472,7 @@ def library_of(lights: int) -> ShadowTracer:
 def test_masks_are_made_for_listeners_or_always() -> None:
     with Rig(THREE) as rig:
         sent: list[str] = []
-        outputs = rig.core.outputs
+        outputs = rig.core.outputs.cameras[""]
         for publisher in (outputs.mask, outputs.bits, outputs.overlay, *outputs.lights.values()):
             publish = publisher.publish
             name = publisher.topic_name.removeprefix("/shadow_tracer/")

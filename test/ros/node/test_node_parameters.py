@@ -16,6 +16,7 @@ import test_node_dose
 import test_node_ground
 import test_node_lights
 import test_node_markers
+import test_several_cameras
 from harness import FOCAL, HEIGHT, SMALL, WIDTH, Rig, info_msg, nanoseconds, plate, wall
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
@@ -158,7 +159,7 @@ def test_a_change_shows_in_the_next_mask(rig: Rig, file: str, name: str, value: 
 
 def test_every_parameter_is_shown_to_change_something() -> None:
     shown = {name for name, _, _ in CHANGES} | set(SHOWN_BELOW)
-    assert shown == set(names_for(["lamp"]))
+    assert shown == set(names_for(["lamp"], ["rear"]))
 
 
 @pytest.mark.parametrize(
@@ -369,7 +370,7 @@ def test_camera_info_policy(rig: Rig) -> None:
 
 def test_mask_publish(rig: Rig) -> None:
     sent: list[Any] = []
-    rig.core.outputs.bits.publish = sent.append
+    rig.core.outputs.cameras[""].bits.publish = sent.append
     rig.trace(wall())
     assert not sent
     assert rig.set(mask__publish="always") == ""
@@ -451,10 +452,10 @@ def test_process(rig: Rig) -> None:
 
 def test_verify_every(rig: Rig) -> None:
     def verified(count: int) -> int:
-        before = rig.core.processor.verified
+        before = rig.core.processors[""].verified
         for _ in range(count):
             rig.trace(wall())
-        return rig.core.processor.verified - before
+        return rig.core.processors[""].verified - before
 
     assert verified(2) == 0
     assert rig.set(verify_every=2) == ""
@@ -503,10 +504,12 @@ def plain_values(node: Any) -> dict[str, Any]:
     return values
 
 
-def test_what_param_dump_writes_starts_the_same_node(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cameras", [{}, {"camera_names": ["front", "rear"], "cameras.rear.rate": 5.0}])
+def test_what_param_dump_writes_starts_the_same_node(tmp_path: Path, cameras: dict[str, Any]) -> None:
     """Every parameter that a running node has, those of its QoS included, as nested YAML and back."""
     yaml = pytest.importorskip("yaml")
     given = {**STANDARD, "light_names": ["lamp", "sky"], "lights.sky.type": "directional", "bias.constant": 0.07}
+    given |= cameras
     with Rig(given) as rig:
         assert rig.node
         before = plain_values(rig.node)
@@ -517,6 +520,7 @@ def test_what_param_dump_writes_starts_the_same_node(tmp_path: Path) -> None:
         assert rig.node
         assert plain_values(rig.node) == before
         assert [light.type for light in rig.node.settings.lights] == ["point", "directional"]
+        assert [camera.rate for camera in rig.node.settings.cameras] == ([0.0, 5.0] if cameras else [])
         assert rig.core.server.warnings() == []
 
 
@@ -609,6 +613,8 @@ SHOWN_BELOW = {
     "camera_frame": test_node_cameras.test_camera_frame_stands_for_that_of_the_header,
     "depth_image_transport": test_node_cameras.test_the_transport_can_be_changed_while_the_node_runs,
     "depth.unit": test_node_cameras.test_a_unit_gives_the_masks_of_metres,
+    "camera_names": test_several_cameras.test_topics_of_cameras_are_under_their_names,
+    **{f"cameras.rear.{key}": test for key, test in test_several_cameras.SHOWN.items()},
     "camera_info_policy": test_camera_info_policy,
     "distortion": test_node_cameras.test_distortion,
     "mask.publish": test_mask_publish,

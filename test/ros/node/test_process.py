@@ -19,9 +19,10 @@ from node_world import BIAS
 from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters
+from sensor_msgs.msg import Image
 
 from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
-from shadow_tracer.ros.diagnostics import DEVICE, ERROR, OK, PROCESSING
+from shadow_tracer.ros.diagnostics import DEVICE, ERROR, OK, PROCESSING, WARN
 from shadow_tracer.ros.node.node import spin
 
 ROOT = Path(__file__).parents[3]
@@ -210,3 +211,36 @@ def test_importing_the_room_needs_no_ros_and_no_warp() -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
+
+
+def test_two_cameras_of_which_one_is_killed(tmp_path: Path) -> None:
+    """As a user does it: a parameter file of config, a program for each camera. The masks of the other go on."""
+    text = (ROOT / "config" / "several_cameras.yaml").read_text()
+    path = tmp_path / "my.yaml"
+    path.write_text(text.replace("    fixed_frame: map\n", "    fixed_frame: map\n    pose_source: parameter\n", 1))
+    names = ("front", "rear")
+    with Rig(start=False) as rig, NodeProcess(arguments=["--params-file", str(path)]) as process:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+        command = [sys.executable, str(ROOT / "test" / "camera_publisher.py")]
+        cameras = {name: subprocess.Popen([*command, name], env=environment) for name in names}
+        try:
+            process.wait_for("Ready")
+            masks = {name: rig.collect(Image, f"shadow_tracer/{name}/mask") for name in names}
+            rig.until(lambda: all(len(masks[name]) >= 5 for name in names))
+            assert rig.status("input depth front") and rig.status("input depth rear")
+            cameras["rear"].kill()
+            cameras["rear"].wait()
+            rig.wait_status("input depth rear", WARN, "no depth image for", 30.0)
+            count = {name: len(masks[name]) for name in names}
+            rig.until(lambda: len(masks["front"]) >= count["front"] + 20)
+            assert len(masks["rear"]) == count["rear"]
+            rig.wait_status("input depth front", OK)
+            cameras["rear"] = subprocess.Popen([*command, "rear"], env=environment)
+            rig.until(lambda: len(masks["rear"]) > count["rear"])
+            for status in ("device", "processing"):
+                rig.wait_status(status, OK)
+        finally:
+            for camera in cameras.values():
+                camera.kill()
+                camera.wait()
+        assert process.stop(signal.SIGINT) == (0, "")

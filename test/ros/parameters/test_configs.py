@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import tf_double
 import yaml
+from camera_rig import CameraRig
 from harness import FOCAL, HEIGHT, WIDTH, Rig, nanoseconds, wall
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float32
@@ -27,7 +28,7 @@ from shadow_tracer.scene.sun import parse_time
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 USES = (
     *("rover_sun", "uv_lamp", "onboard_spotlight", "second_sensor_line_of_sight", "indoor_lights"),
-    "robot_self_shadow",
+    *("robot_self_shadow", "several_cameras"),
 )
 SECOND = 1_000_000_000
 DOWN = (1.0, 0.0, 0.0, 0.0)  # x y z w of an optical frame that looks down, its x along x
@@ -194,9 +195,9 @@ def test_a_file_names_only_parameters_that_there_are(name: str) -> None:
     values = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())["/**"]["ros__parameters"]
     assert parameters.problems_in(values) == []
     lights = list(values["light_names"])
-    assert parameters.unknown_names(values, parameters.names_for(lights), lights) == []
+    assert parameters.unknown_names(values, parameters.names_in(values), lights, values.get("camera_names", ())) == []
     changed = {key for key, value in values.items() if value != parameters.default_of(key)}
-    assert {"light_names", "bias.constant"} & changed, "nothing differs from the defaults"
+    assert {"light_names", "bias.constant", "camera_names"} & changed, "nothing differs from the defaults"
 
 
 @pytest.mark.parametrize("name", USES)
@@ -209,6 +210,28 @@ def test_a_file_says_how_to_start_it_and_explains_every_value(name: str) -> None
 
 def test_every_use_is_tested() -> None:
     assert {path.stem for path in CONFIG.glob("*.yaml")} - {"default"} == set(USES)
+
+
+# Several cameras
+
+
+def test_several_cameras_look_at_one_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From two places, through tf; each mask is that of the lamp and the plate in the map."""
+    module, tf = tf_double.module()
+    monkeypatch.setitem(sys.modules, "tf2_ros", module)
+    given = yaml.safe_load((CONFIG / "several_cameras.yaml").read_text())["/**"]["ros__parameters"]
+    assert {name: given.pop(name) for name in ("bounds.max_rays", "bounds.max_lights")}["bounds.max_rays"] == 640 * 480
+    plates = [flat(0.3, 0.0, 1.2, 0.25)]
+    with CameraRig(given | {"pose_source": "tf"}) as rig:
+        for name, x in (("front", 0.0), ("rear", 0.6)):
+            tf[-1].set_transform_static(tf_double.transform("map", f"{name}_optical", 0, (x, 0.0, 4.0), DOWN), "test")
+        rig.send_mesh(*mesh_of(plates))
+        for name, x, constant in (("front", 0.0, 0.02), ("rear", 0.6, 0.05)):
+            bias = constant + 0.003 * 4.0**2
+            points = floor(4.0, x) + (0.0, 0.0, 0.6 * bias)
+            mask = rig.look(name, wall(distance=4.0), frame=f"{name}_optical")
+            check(mask, points, [Lamp((0.0, 0.0, 2.4))], plates, bias)
+        assert rig.core.inputs.cameras["rear"].limit.rate == 15.0
 
 
 # Sun

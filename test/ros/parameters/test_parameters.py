@@ -92,6 +92,11 @@ BAD = [
     ("light_names", ["camera_info"], "light_names: expected names of letters, digits and single underscores, a letter"),
     ("light_names", [1, 2], "light_names: expected string array"),
     ("light_names", [f"l{k}" for k in range(17)], "light_names: expected at most bounds.max_lights = 16 names, got 17"),
+    ("camera_names", "front", "camera_names: expected string array"),
+    ("camera_names", ["front", "front"], "camera_names: expected different names, got ['front', 'front']"),
+    ("camera_names", ["dose"], "camera_names: expected names of letters, digits and single underscores, a letter"),
+    ("camera_names", [f"c{k}" for k in range(17)], "camera_names: expected at most 16 names, got 17"),
+    ("camera_names", ["front", "rear"], "fixed_frame: expected the frame in which the cameras front, rear and"),
     ("bias.constant", math.nan, "bias.constant: expected double (0 to 1 m), got nan"),
     ("bias.constant", True, "bias.constant: expected double (0 to 1 m), got True"),
     ("bias.constant", "0.1", "bias.constant: expected double (0 to 1 m), got '0.1'"),
@@ -178,7 +183,52 @@ def test_bad_values_are_refused_with_their_name(name: str, value: Any, message: 
     assert any(message in problem for problem in problems_in({name: value}))
 
 
+BAD_OF_CAMERA = [
+    ("depth_topic", "a b", "expected string (a topic such as"),
+    ("depth_topic", "a__b/image", "expected string (a topic such as"),
+    ("depth_topic", "rear/depth/image_rect", "expected another topic than that of camera rear, got"),
+    ("info_topic", "/info/", "expected string (a topic such as"),
+    ("pose_topic", 3, "expected string (a topic such as"),
+    ("transport", "", "expected string (raw, compressedDepth), got ''"),
+    ("frame", "/front", 'expected string (a tf frame without leading "/"'),
+    ("pose", [0, 0, 0, 0, 0, 0, 0], "expected a unit quaternion"),
+    ("rate", -1, "expected double (0 to 1000 Hz), got -1"),
+    ("bias.constant", 1.5, "expected double (-1 to 1 m), got 1.5"),
+    ("bias.constant", -0.1, "expected -1 (as bias.constant) or at least 0, got -0.1"),
+    ("bias.quadratic", -0.5, "expected -1 (as bias.quadratic) or at least 0, got -0.5"),
+    ("bias.normal", math.nan, "expected double (-1 to 2), got nan"),
+]
+TWO_CAMERAS = {"camera_names": ["rear", "front"], "fixed_frame": "map"}
+
+
+@pytest.mark.parametrize(("key", "value", "message"), BAD_OF_CAMERA)
+def test_bad_values_of_a_camera_are_refused_with_their_name(key: str, value: Any, message: str) -> None:
+    values = TWO_CAMERAS | {f"cameras.front.{key}": value}
+    with pytest.raises(ParameterError) as caught:
+        settings_from(values)
+    assert str(caught.value).startswith(f"cameras.front.{key}: {message}")
+    assert any(message in problem for problem in problems_in(values))
+
+
+def test_settings_of_a_camera() -> None:
+    given = {"cameras.front.bias.constant": 0.0, "bias.normal": 0.2, "cameras.front.rate": 5, "camera_frame": "other"}
+    given |= {"cameras.rear.frame": "back", "cameras.rear.depth_topic": "/r/image"}
+    settings = settings_from(TWO_CAMERAS | given)
+    assert settings.camera_names == ("rear", "front") and settings.bounds.max_sample_sets == 2
+    assert settings.samples == settings.of("rear").samples == "rear" and settings.of("front").samples == "front"
+    assert settings.of("front").bias == Bias(0.0, 0.003, 0.2) and settings.of("rear").bias == Bias(0.02, 0.003, 0.2)
+    assert settings.of("front").camera_rate == 5.0 and settings.of("front").of("rear") == settings.of("rear")
+    assert [settings.of(name).camera_frame for name in settings.camera_names] == ["back", ""]
+    topics = [(camera.depth_topic, camera.info_topic, camera.pose_topic) for camera in settings.cameras]
+    assert topics[0] == ("/r/image", "/r/camera_info", "rear/camera_pose")
+    assert topics[1] == ("front/depth/image_rect", "front/depth/camera_info", "front/camera_pose")
+    assert settings_from({}).camera_names == ("",) and settings_from({}).of("").samples == ""
+    for fixed in ({"pose_source": "topic", "fixed_frame": ""}, {"camera_names": ["front"], "fixed_frame": ""}):
+        assert settings_from(TWO_CAMERAS | fixed).cameras
+
+
 def test_every_parameter_has_a_bad_value_above() -> None:
+    assert {key for key, _, _ in BAD_OF_CAMERA} == {row.name for row in parameters.CAMERA_PARAMETERS}
     assert {name.replace("lights.lamp.", "lights.<name>.") for name, _, _ in BAD} == {
         *(row.name for row in parameters.PARAMETERS),
         *(f"lights.<name>.{row.name}" for row in parameters.LIGHT_PARAMETERS),
@@ -402,7 +452,9 @@ def test_default_yaml_is_the_table() -> None:
 
 def test_markdown_table() -> None:
     text = parameters.markdown_table()
-    assert text.count("\n") == 2 + len(parameters.PARAMETERS) + len(parameters.LIGHT_PARAMETERS)
+    assert text.count("\n") == 2 + sum(
+        map(len, (parameters.PARAMETERS, parameters.CAMERA_PARAMETERS, parameters.LIGHT_PARAMETERS))
+    )
     for line in text.splitlines():
         assert line.replace("\\|", "").count("|") == 6
     assert "| `bias.constant` | double | `0.02` | 0 to 1 m |" in text
