@@ -102,12 +102,15 @@ class Traits:
             ``TriangleRecords.plan`` has said.
         keeps_rays: whether what it makes of the rays of a pass can be used again, see ``Rays.again``.
         queries: what it can be asked (``visibility/queries.py``).
+        bundle_limit: triangles that a bundle of rays, from a sample to all points of a light, may be shown for each of
+            the rays; more cost as much as the rays one by one.
     """
 
     lights_at_once: int = 1
     recordable: bool = False
     keeps_rays: bool = False
     queries: tuple[Query, ...] = (ANY_HIT,)
+    bundle_limit: float = 1.0
 
 
 class Accelerator:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
+from shadow_tracer.gpu.accelerators.interface import Accelerator
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.device.workers import Job
 from shadow_tracer.gpu.engine.band import Band
@@ -26,10 +27,6 @@ from shadow_tracer.scene.lights import HardLight, Light
 
 # Samples that try a bundle out; fewer than so many times as many samples in all go without.
 PILOT, WORTH = 256, 8
-# Triangles that a sample may be shown for each point of the light. With mesh_bvh each takes
-# 0.1 us in a bundle; a ray to a single point 0.15 to 0.3 us, with what is made of the triangles for that point (BART
-# robots, Sponza).
-MOST_SHOWN = 2.0
 
 Run = Callable[[Sequence[Job]], None]
 _Found = TypeVar("_Found")
@@ -106,7 +103,12 @@ def _is_bundle(run: Run, working: Sequence[Band], place: int, points: FloatArray
     for counts in _each(run, working, Band.try_out, place, points, count // PILOT):
         spent = _plus(counts, spent)
     rays = spent.pop("rays", 0)  # they are asked again
-    return spent.get("leaf_tests", 0) <= MOST_SHOWN * rays, spent
+    return spent.get("leaf_tests", 0) <= most_shown(working[0].pipeline) * rays, spent
+
+
+def most_shown(pipeline: Accelerator) -> float:
+    """Triangles that a sample may be shown for each point of a light."""
+    return pipeline.traits.bundle_limit
 
 
 def _plus(counters: dict[str, int], more: dict[str, int]) -> dict[str, int]:

@@ -37,9 +37,9 @@ S^2: u place times that is what 16 u place is for, as it is for A in |A|.
 size of a box around the points. half is taken 1e-5 larger, which is more than the five roundings of that sum, and is
 part of L.
 
-*Bias.* k is between bias / longest and bias / shortest, the lengths of the way to the middle less and more the radius
-of the box, in float64 and 1e-5 beyond; where shortest is below 1e-6 longest its rounding would be more, and k has no
-bound. If |g| of no point is below (|g of the middle| - half - there), and the least k times that is above |q| + here,
+*Bias.* k is between bias / longest and bias / shortest, the lengths of the ways to the farthest corner of the box and
+to its nearest place, in float64 and 1e-5 beyond; where shortest is below 1e-6 longest its rounding would be more, and k
+has no bound. (A sphere around the box would do, too, but many a sample is within that of a large flat light.) If |g| of no point is below (|g of the middle| - half - there), and the least k times that is above |q| + here,
 the start of every ray is beyond the plane, and so is all that follows: nothing is hidden, mostly by the sample's own
 surface. If |q| - here is above the greatest k times the greatest |g|, bias plays no part and the sign of q is sure:
 only then the forms say anything. What is in between goes to the float64 filter and the exact decision, as does a point

@@ -40,8 +40,14 @@ struct PointMask1 {
         keeps = 0;
 #endif
     }
-    // Of an image no column: numbers are scattered first (Knuth's multiplicative hash).
-    inline bool chosen(int number) const { return (unsigned)number * 2654435761u % (unsigned)asked.every == 0; }
+    // One in `every`, of an image no columns: numbers are scattered first (the finalizer of MurmurHash3), and the least
+    // are taken. Remainders would not do, as those by a power of two depend on low bits alone.
+    inline bool chosen(int number) const {
+        unsigned mixed = (unsigned)number;
+        mixed = (mixed ^ mixed >> 16) * 0x85EBCA6Bu;
+        mixed = (mixed ^ mixed >> 13) * 0xC2B2AE35u;
+        return (wp::uint64)(mixed ^ mixed >> 16) * (wp::uint64)asked.every >> 32 == 0;
+    }
     inline void take(int number) {
         if (asked.states.data[number] > SHADOWED || !chosen(number))
             return;
@@ -57,9 +63,13 @@ struct PointMask1 {
         const wp::vec3d& e = asked.extent;
         middle = wp::vec3d(light[0] - light[3] * at[0], light[1] - light[3] * at[1], light[2] - light[3] * at[2]);
         farthest = MASK_PAD * (Sides::Plane::sum(middle) + Sides::Plane::sum(e));
-        const double length_of_middle = sqrt(middle[0] * middle[0] + middle[1] * middle[1] + middle[2] * middle[2]);
-        const double radius = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
-        shortest = length_of_middle - radius, longest = length_of_middle + radius;
+        // To the nearest and the farthest corner of the box around the points; a flat light's is flat.
+        double near = 0.0, far = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const double apart = fabs(middle[k]), least = apart > e[k] ? apart - e[k] : 0.0;
+            near += least * least, far += (apart + e[k]) * (apart + e[k]);
+        }
+        longest = sqrt(far), shortest = sqrt(near) - 1e-12 * longest; // more than roundings
 #if !defined(__CUDA_ARCH__)
         known = false;
 #endif
