@@ -28,7 +28,7 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.device.counters import ENTRIES, LARGEST_TILE, OVERFLOWS, PASSES
+from shadow_tracer.gpu.device.counters import LARGEST_TILE, OVERFLOWS, PASSES
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import LightSpace, space_of
@@ -206,14 +206,17 @@ def bin_items(
 class EntryList:
     """Entries gathered between two tracings."""
 
-    capacity: int
+    capacity: int  # of tile and record, which have room for sixteen more
     bounded: int  # whether the capacity is smaller than it would be without a bound
+    tile_places: int
     tile: wp.array(dtype=int)
     record: wp.array(dtype=int)
     sorted: wp.array(dtype=int)
     start: wp.array(dtype=int)  # per tile
     total: wp.array(dtype=int)  # entries of each tile so far
-    count: wp.array(dtype=int)  # [entries waiting, traces]
+    count: wp.array(dtype=int)  # [entries waiting, times that it was full]
+    visited: wp.array(dtype=int)  # by a cluster: tiles; blocks, from number tile_places on
+    masks: wp.array(dtype=int)  # of each tile that is visited: the triangles that touch it, as bits
 
 
 @native.func_native("accelerators/light_grid/binning16.h", calls="Binning16::light")
@@ -261,7 +264,6 @@ def bin_wide(
         entries.total[k] = 0
     entries.count[0] = 0
     entries.count[1] = 0
-    before = answers.counters[0, ENTRIES]
     for place in range(tiles.lights):
         bin_light(
             place,
@@ -284,6 +286,5 @@ def bin_wide(
         largest = wp.max(largest, entries.total[k])
     wp.atomic_max(answers.counters, 0, LARGEST_TILE, wp.int64(largest))
     wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
-    entered = answers.counters[0, ENTRIES] - before
-    if entries.bounded != 0 and entered > wp.int64(entries.capacity):
-        wp.atomic_add(answers.counters, 0, OVERFLOWS, wp.int64(entries.count[1] - 1))
+    if entries.bounded != 0:
+        wp.atomic_add(answers.counters, 0, OVERFLOWS, wp.int64(entries.count[1]))
