@@ -15,11 +15,12 @@ are brought together by tile (counted on the way, scanned, scattered); lists lon
 warp's 32 lanes, one ray each, take a chunk at a time; all of them read the same record. Answers may be stored by
 several warps: storing is idempotent.
 
-On the CPU (``binning16.h``, ``entries.h``) one thread takes triangles in order, those that may concern any ray
-(``candidates.py``), sixteen triangles, boxes or rays at a time. (Tile, triangle) entries gather in a list of limited
-length; whenever it is full, it is sorted by tile and traced, tile by tile: the rays of a tile stay in registers while
-its triangles pass by. A limit far below all entries has two advantages: the list stays in the cache, and tiles that are
-finished take no more entries.
+On the CPU (``binning16.h``, ``together16.h``, ``entries.h``) one thread takes clusters of sixteen triangles in order,
+those that may concern any ray (``candidates.py``). Triangles of a cluster that lie close together share the way to the
+tiles, by flat lists, and their entries are traced at once; others go one by one, sixteen boxes at a time, and their
+(tile, triangle) entries gather in a list of limited length; whenever it is full, it is sorted by tile and traced, tile
+by tile: the rays of a tile stay in the cache while its triangles pass by. A limit far below all entries has two
+advantages: the list stays in the cache, and tiles that are finished take no more entries.
 """
 
 from __future__ import annotations
