@@ -21,6 +21,16 @@ struct WIDE(Lanes) {
         return __builtin_bit_cast(unsigned char, __builtin_convertvector(x, WIDE(Bit)));
 #endif
     }
+#if LANES > 1
+    // The other way round.
+    static inline MASK mask(int bits) {
+#if LANES == 16
+        return -__builtin_convertvector(__builtin_bit_cast(WIDE(Bit), (unsigned short)bits), MASK);
+#else
+        return -__builtin_convertvector(__builtin_bit_cast(WIDE(Bit), (unsigned char)bits), MASK);
+#endif
+    }
+#endif
     static inline REAL absolute(REAL x) {
 #if LANES == 1
         return fabsf(x);

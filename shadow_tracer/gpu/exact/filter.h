@@ -2,7 +2,8 @@
 // lanes
 // The float32 filter: LANES rays against the record of a triangle.
 struct WIDE(Filter) {
-    // The lanes whose answer is not a certain no, as bits; yes: those of them whose answer is a certain yes.
+    // The lanes whose answer is not a certain no, as bits; yes: those of them whose answer is a certain yes. Without a
+    // branch: most rays that are tested are beside the triangle, and none can be known ahead.
     static inline int possible(const float* record, REAL U, REAL V, REAL W, REAL Z, REAL magnitude, int& yes) {
         typedef WIDE(Lanes) Lanes;
         const REAL edge = record[3] * (magnitude + Lanes::absolute(W)), depth = record[7] * magnitude + record[11];
@@ -12,8 +13,6 @@ struct WIDE(Filter) {
         const REAL g = record[12] * U + record[13] * V + record[14] * Z - record[15];
         // Comparisons with NaN fail, and what fails both ways is possible and no yes.
         const int no = Lanes::bits((e0 < -edge) | (e1 < -edge) | (e2 < -edge) | (g < -depth));
-        if (no == Lanes::ALL)
-            return 0;
         yes = Lanes::bits((e0 > edge) & (e1 > edge) & (e2 > edge) & (g > depth)) & ~no;
         return ~no & Lanes::ALL;
     }

@@ -15,11 +15,12 @@ are brought together by tile (counted on the way, scanned, scattered); lists lon
 warp's 32 lanes, one ray each, take a chunk at a time; all of them read the same record. Answers may be stored by
 several warps: storing is idempotent.
 
-On the CPU (``binning16.h``, ``entries.h``) one thread takes triangles in order, those that may concern any ray
-(``candidates.py``), sixteen triangles, boxes or rays at a time. (Tile, triangle) entries gather in a list of limited
-length; whenever it is full, it is sorted by tile and traced, tile by tile: the rays of a tile stay in registers while
-its triangles pass by. A limit far below all entries has two advantages: the list stays in the cache, and tiles that are
-finished take no more entries.
+On the CPU (``binning16.h``, ``together16.h``, ``entries.h``) one thread takes clusters of sixteen triangles in order,
+those that may concern any ray (``candidates.py``). Triangles of a cluster that lie close together share the way to the
+tiles, by flat lists, and their entries are traced at once; others go one by one, sixteen boxes at a time, and their
+(tile, triangle) entries gather in a list of limited length; whenever it is full, it is sorted by tile and traced, tile
+by tile: the rays of a tile stay in the cache while its triangles pass by. A limit far below all entries has two
+advantages: the list stays in the cache, and tiles that are finished take no more entries.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.device.counters import ENTRIES, LARGEST_TILE, OVERFLOWS, PASSES
+from shadow_tracer.gpu.device.counters import LARGEST_TILE, OVERFLOWS, PASSES
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import LightSpace, space_of
@@ -206,14 +207,17 @@ def bin_items(
 class EntryList:
     """Entries gathered between two tracings."""
 
-    capacity: int
+    capacity: int  # of tile and record, which have room for sixteen more
     bounded: int  # whether the capacity is smaller than it would be without a bound
+    tile_places: int
     tile: wp.array(dtype=int)
     record: wp.array(dtype=int)
     sorted: wp.array(dtype=int)
     start: wp.array(dtype=int)  # per tile
     total: wp.array(dtype=int)  # entries of each tile so far
-    count: wp.array(dtype=int)  # [entries waiting, traces]
+    count: wp.array(dtype=int)  # [entries waiting, times that it was full]
+    visited: wp.array(dtype=int)  # by a cluster: tiles; blocks, from number tile_places on
+    masks: wp.array(dtype=int)  # of each tile that is visited: the triangles that touch it, as bits
 
 
 @native.func_native("accelerators/light_grid/binning16.h", calls="Binning16::light")
@@ -261,7 +265,6 @@ def bin_wide(
         entries.total[k] = 0
     entries.count[0] = 0
     entries.count[1] = 0
-    before = answers.counters[0, ENTRIES]
     for place in range(tiles.lights):
         bin_light(
             place,
@@ -284,6 +287,5 @@ def bin_wide(
         largest = wp.max(largest, entries.total[k])
     wp.atomic_max(answers.counters, 0, LARGEST_TILE, wp.int64(largest))
     wp.atomic_add(answers.counters, 0, PASSES, wp.int64(1))
-    entered = answers.counters[0, ENTRIES] - before
-    if entries.bounded != 0 and entered > wp.int64(entries.capacity):
-        wp.atomic_add(answers.counters, 0, OVERFLOWS, wp.int64(entries.count[1] - 1))
+    if entries.bounded != 0:
+        wp.atomic_add(answers.counters, 0, OVERFLOWS, wp.int64(entries.count[1]))

@@ -1,20 +1,14 @@
 // cpu
-// needs: accelerators/light_grid/entries.h accelerators/light_grid/side.h@16
+// needs: accelerators/light_grid/together16.h
 // constants: FACES NODES_VISITED ENTRIES
 // arguments: LightSpace space, Tiles tiles, Occluders occluders, EntryList entries, Answers answers
 // Triangles into tiles, sixteen triangles and sixteen boxes at a time: the binning of one thread for all triangles.
-struct Binning16 : Entries {
+struct Binning16 : Together16 {
     // A triangle that touches fewer columns is small: its bounds say nearly all.
     enum { FEW_COLUMNS = 4 };
-    Side16 side;
-    wp::int64 nodes;
 
     inline Binning16(const Tiles& tiles, const Occluders& occluders, const EntryList& entries, const Answers& answers)
-        : Entries(tiles, occluders, entries, answers), nodes(0) {}
-    inline int touches(const wp::array_t<float>& boxes, int number) {
-        nodes += 16;
-        return side.touches(TileBox::at(boxes, number));
-    }
+        : Together16(tiles, occluders, entries, answers) {}
     inline int meets(const wp::array_t<float>& boxes, int number, int& covered) {
         nodes += 16;
         return side.meets(TileBox::at(boxes, number), covered);
@@ -28,7 +22,7 @@ struct Binning16 : Entries {
         const int hit = meets(tiles.boxes, 16 * block, covered);
         for (int left = covered; left; left &= left - 1)
             accept(16 * block + __builtin_ctz(left));
-        enter(block, hit & ~covered, record);
+        enter_tiles(16 * block, hit & ~covered, record);
     }
     inline void visit(const TileGroup& group, int record) {
         int from, to;
@@ -83,10 +77,16 @@ struct Binning16 : Entries {
                 int some = front.bound(face, tiles.fit.data[number], space.inverse != 0, seen);
                 if (!some)
                     continue;
+                const TileGroup group(tiles, number);
+                const int close = it.gather(group, seen, some);
+                const int visited = close ? it.touched(seen, close, it.list_tiles(group)) : 0;
+                some &= ~close;
+                if (!visited && !some)
+                    continue;
                 if (!taken)
                     planes.take(it.record(first_record + first), count, space);
                 taken = true;
-                const TileGroup group(tiles, number);
+                it.enter_all(planes, face, visited, first_record + first);
                 for (some &= ~planes.silent; some; some &= some - 1) {
                     const int j = __builtin_ctz(some);
                     it.side.take(planes, seen, face, j);

@@ -39,6 +39,8 @@ from shadow_tracer.gpu.occluders.clusters import CLUSTER
 
 # Entries that are gathered on the CPU before they are traced, per place for a tile.
 _ENTRIES_PER_TILE = 2
+# Elements behind the last that a list without branches may write.
+_AHEAD = 16
 
 
 @native.func_native("accelerators/light_grid/packing16.h", calls="Packing16::measure")
@@ -157,12 +159,15 @@ class BlockGrid:
         entries = binning.EntryList()
         entries.capacity = min(natural, bound)
         entries.bounded = int(bound < natural)
-        entries.tile = wp.empty(entries.capacity, dtype=int, device=device)
-        entries.record = wp.empty(entries.capacity, dtype=int, device=device)
+        entries.tile = wp.empty(entries.capacity + _AHEAD, dtype=int, device=device)
+        entries.record = wp.empty(entries.capacity + _AHEAD, dtype=int, device=device)
         entries.sorted = wp.empty(entries.capacity, dtype=int, device=device)
         entries.start = wp.empty(places + 1, dtype=int, device=device)
         entries.total = wp.empty(places, dtype=int, device=device)
         entries.count = wp.zeros(2, dtype=int, device=device)
+        entries.tile_places = places + _AHEAD
+        entries.visited = wp.empty(places + buffers.most_blocks + 2 * _AHEAD, dtype=int, device=device)
+        entries.masks = wp.empty(places, dtype=int, device=device)
         self._entries = entries
         bounds = context.samples.bounds
         self._candidates = context.shared.take(CandidateRecords, lambda: CandidateRecords(context))
@@ -230,5 +235,6 @@ class BlockGrid:
     def nbytes(self) -> int:
         entries = self._entries
         arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
+        arrays += (entries.visited, entries.masks)
         arrays += (self._clusters, self._ends, *self._kept)
         return sum(int(array.capacity) for array in arrays)

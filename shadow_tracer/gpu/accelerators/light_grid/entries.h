@@ -1,5 +1,5 @@
 // cpu
-// needs: exact/filter.h@16 visibility/answers.h accelerators/light_grid/tiles.h
+// needs: exact/filter.h@16 visibility/answers.h accelerators/light_grid/tiles.h device/compress.h
 // constants: SHADOWED LEAF_TESTS ACCEPTED ALL_BLOCKS
 // arguments: Tiles tiles, Occluders occluders, EntryList entries, Answers answers
 // Entries gather in a list; whenever it is full, it is sorted by tile and traced, tile by tile, sixteen rays at a time.
@@ -11,9 +11,11 @@ struct Entries {
     const EntryList& entries;
     const Answers& answers;
     wp::int64 tests, accepted, entered;
+    int flushes;
 
     inline Entries(const Tiles& tiles, const Occluders& occluders, const EntryList& entries, const Answers& answers)
-        : tiles(tiles), occluders(occluders), entries(entries), answers(answers), tests(0), accepted(0), entered(0) {}
+        : tiles(tiles), occluders(occluders), entries(entries), answers(answers), tests(0), accepted(0), entered(0),
+          flushes(0) {}
     inline const float* record(int number) const { return (const float*)occluders.records.data + 16 * (size_t)number; }
     inline void shadow(int tile, unsigned rays) {
         const int* order = TileMemory::order(tiles, tile);
@@ -30,48 +32,61 @@ struct Entries {
         tiles.live.data[tile] = 0;
         TileBox::remove(tiles.boxes, tile);
     }
+    // The rays of a tile, those that are `live`, and a triangle; returns those that are live behind it.
+    inline unsigned test(int tile, int number, unsigned live) {
+        const float* rays = TileMemory::rays(tiles, tile);
+        tests += __builtin_popcount(live);
+        int yes_low, yes_high;
+        const unsigned low = Filter16::possible(record(number), rays, yes_low);
+        const unsigned high = Filter16::possible(record(number), rays + TileMemory::SIXTEEN_RAYS, yes_high);
+        const unsigned found = (low | high << 16) & live;
+        if (!found)
+            return live;
+        const unsigned yes = ((unsigned)yes_low | (unsigned)yes_high << 16) & found;
+        const int* order = TileMemory::order(tiles, tile);
+        for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
+            if (Settle::pair(answers, order[__builtin_ctz(maybe)], number % occluders.records_apart))
+                live &= ~(maybe & -maybe);
+        shadow(tile, yes);
+        return live & ~yes;
+    }
+    inline void keep(int tile, unsigned live) {
+        if (live == (unsigned)tiles.live.data[tile])
+            return;
+        tiles.live.data[tile] = (int)live;
+        if (!live)
+            TileBox::remove(tiles.boxes, tile);
+    }
     inline void test_tile(int tile, const int* records, int n) {
         unsigned live = (unsigned)tiles.live.data[tile];
-        const float* rays = TileMemory::rays(tiles, tile);
         for (int k = 0; k < n && live; ++k) {
             if (k + AHEAD < n)
                 __builtin_prefetch(record(records[k + AHEAD]));
-            tests += __builtin_popcount(live);
-            int yes_low = 0, yes_high = 0;
-            const unsigned low = live & 0xFFFF ? Filter16::possible(record(records[k]), rays, yes_low) : 0;
-            const unsigned high =
-                live >> 16 ? Filter16::possible(record(records[k]), rays + TileMemory::SIXTEEN_RAYS, yes_high) : 0;
-            const unsigned found = (low | high << 16) & live;
-            if (!found)
-                continue;
-            const unsigned yes = ((low ? yes_low : 0) | (high ? (unsigned)yes_high << 16 : 0)) & found;
-            const int* order = TileMemory::order(tiles, tile);
-            for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
-                if (Settle::pair(answers, order[__builtin_ctz(maybe)], records[k] % occluders.records_apart))
-                    live &= ~(maybe & -maybe);
-            shadow(tile, yes);
-            live &= ~yes;
+            live = test(tile, records[k], live);
         }
-        if (live != (unsigned)tiles.live.data[tile]) {
-            tiles.live.data[tile] = (int)live;
-            if (!live)
-                TileBox::remove(tiles.boxes, tile);
+        keep(tile, live);
+    }
+    // Traces what is in the list behind its first `from` entries, in order: for few triangles, whose records are near.
+    inline void trace_behind(int from) {
+        const int n = entries.count.data[0];
+        for (int k = from; k < n; ++k) {
+            const int tile = entries.tile.data[k];
+            ++entries.total.data[tile];
+            keep(tile, test(tile, entries.record.data[k], (unsigned)tiles.live.data[tile]));
         }
+        entries.count.data[0] = from;
     }
     // Traces what is in the list.
     inline void flush() {
+        ++flushes;
         const int n = entries.count.data[0], slots = 16 * tiles.counts.data[ALL_BLOCKS];
         if (n == 0)
             return;
-        entries.count.data[0] = 0;
-        ++entries.count.data[1];
         if (n < slots / TILES_PER_ENTRY) {
-            for (int k = 0; k < n; ++k) {
-                ++entries.total.data[entries.tile.data[k]];
-                test_tile(entries.tile.data[k], entries.record.data + k, 1);
-            }
+            trace_behind(0);
             return;
         }
+        entries.count.data[0] = 0;
         int* start = entries.start.data;
         for (int k = 0; k <= slots; ++k)
             start[k] = 0;
@@ -100,27 +115,43 @@ struct Entries {
             flush();
             if (!tiles.live.data[tile])
                 return;
+            ++entries.count.data[1];
         }
         const int slot = entries.count.data[0]++;
         entries.tile.data[slot] = tile;
         entries.record.data[slot] = record;
         ++entered;
     }
-    // The tiles of a block whose bits are set.
-    inline void enter(int block, int hit, int record) {
-        const int n = __builtin_popcount(hit), waiting = entries.count.data[0];
-        if (waiting + n > entries.capacity) {
+    // As many entries as bits are set in `hit`: tiles from `tile` on and one record, or one tile and records from
+    // `record` on. The list has room for sixteen beyond its capacity.
+    inline void enter_tiles(int tile, int hit, int record) {
+        const int to = room_for(hit);
+        if (to < 0) {
             for (; hit; hit &= hit - 1)
-                enter(16 * block + __builtin_ctz(hit), record);
+                enter(tile + __builtin_ctz(hit), record);
             return;
         }
-        int *to_tile = entries.tile.data + waiting, *to_record = entries.record.data + waiting;
-        for (; hit; hit &= hit - 1) {
-            *to_tile++ = 16 * block + __builtin_ctz(hit);
-            *to_record++ = record;
+        Compress::numbers(entries.tile.data + to, hit, tile);
+        Compress::fill(entries.record.data + to, record);
+    }
+    inline void enter_records(int tile, int hit, int record) {
+        const int to = room_for(hit);
+        if (to < 0) {
+            for (; hit && tiles.live.data[tile]; hit &= hit - 1)
+                enter(tile, record + __builtin_ctz(hit));
+            return;
         }
+        Compress::numbers(entries.record.data + to, hit, record);
+        Compress::fill(entries.tile.data + to, tile);
+    }
+    // Where they go; below zero if they do not fit, and go one by one.
+    inline int room_for(int hit) {
+        const int n = __builtin_popcount(hit), waiting = entries.count.data[0];
+        if (waiting + n > entries.capacity)
+            return -1;
         entries.count.data[0] = waiting + n;
         entered += n;
+        return waiting;
     }
     inline void report() {
         wp::int64* counter = answers.counters.data;

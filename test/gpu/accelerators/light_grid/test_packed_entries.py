@@ -226,7 +226,8 @@ def _touching() -> views.View:
 @pytest.mark.parametrize("graphs", [False, True])
 @pytest.mark.parametrize("together", [1, 2, 5])
 def test_flushes(together: int, graphs: bool) -> None:
-    """The same for lists of the wide form: as many flushes as full lists, fewer entries the earlier tiles are done."""
+    """The same for lists of the wide form: at most as many flushes as lists full of all entries, of which some do not
+    wait; fewer entries the earlier tiles are done."""
     view, expected = _crowd()
     alone = _entries_of("cpu", view)
     total = sum(alone)
@@ -240,7 +241,7 @@ def test_flushes(together: int, graphs: bool) -> None:
         assert before <= counters["entries"] <= total or entries < passes[0]
         before = counters["entries"]
         full = counters["entries"] / entries
-        assert max(0.0, full - len(passes)) <= counters["overflow_passes"] <= full
+        assert 0.2 * full - len(passes) <= counters["overflow_passes"] <= full
         if entries >= max(passes):
             assert counters["overflow_passes"] == 0 and counters["entries"] == total
 

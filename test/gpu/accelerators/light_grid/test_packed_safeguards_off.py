@@ -13,6 +13,7 @@ _ROOT = Path(__file__).resolve().parents[4]
 _GPU = "shadow_tracer/gpu"
 _GRID = "accelerators/light_grid/"
 _BOXES, _TILES, _CANDIDATES = "test_packed_boxes.py", "test_packed_tiles.py", "test_candidates.py"
+_TOGETHER = "test_together.py"
 _BOUNDS = ("low_u", "high_u", "low_v", "high_v")
 _COVERED = "(middle[3] - reach[3] + far > plane)"
 
@@ -47,6 +48,26 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         _CANDIDATES,
         "only_what",
         [(_GRID + "candidates.py", "blocks(stale.triangles, BLOCK, self._scene.triangle_count)", "()")],
+    ),
+    "clusters as wide as one of their triangles": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "together16.h", "side.high_u = -least(in ? -seen.high_u : far)", "side.high_u = seen.high_u[0]")],
+    ),
+    "clusters that begin where the last of their triangles does": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "together16.h", "-least(in ? -seen.nearest : far)", "least(in ? seen.nearest : far)")],
+    ),
+    "triangles without bounds among those with": (
+        _TOGETHER,
+        "across",
+        [(_GRID + "together16.h", "some &= seen.bounded & Lanes16", "some &= Lanes16")],
+    ),
+    "tiles of a cluster where the last ray is": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "together16.h", "planes.p[3] * t0, planes.p[3] * t0", "planes.p[3] * box[80], planes.p[3] * t0")],
     ),
     "boxes without pads": (
         _TILES,
@@ -130,5 +151,5 @@ def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels
     tests, some, changes = _MUTANTS[mutant]
     failed = failing_tests(changes, f"accelerators/light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
-    if tests != _CANDIDATES:  # which only the wide form has
+    if tests not in (_CANDIDATES, _TOGETHER):  # which only the wide form has
         assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"
