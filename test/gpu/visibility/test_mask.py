@@ -196,7 +196,7 @@ def test_the_pilot_decides_about_time_alone(
     disc = DiscLight("d", (0.5, -1.0, 1.5), (0.0, 1.0, 0.25), 0.5, samples=9, ignore=["mesh"])
     found, rays = [], []
     for most in (1e9, 0.0, 1e9, 0.0):
-        monkeypatch.setattr(area_lights, "most_shown", lambda _, most=most: most)
+        monkeypatch.setattr(area_lights, "most_shown", lambda *_, most=most: most)
         frame = tracer.trace(_depth(), _CAMERA, [hard, _LIGHTS[light], disc], Bias(0.02))
         found.append([frame.visibility(name) for name in frame.names] + [frame.state(name) for name in frame.names])
         rays.append(frame.counters["nodes_visited"])
