@@ -103,12 +103,13 @@ def _is_bundle(run: Run, working: Sequence[Band], place: int, points: FloatArray
     for counts in _each(run, working, Band.try_out, place, points, count // PILOT):
         spent = _plus(counts, spent)
     rays = spent.pop("rays", 0)  # they are asked again
-    return spent.get("leaf_tests", 0) <= most_shown(working[0].pipeline) * rays, spent
+    return len(points) * spent.get("leaf_tests", 0) <= most_shown(working[0].pipeline, len(points)) * rays, spent
 
 
-def most_shown(pipeline: Accelerator) -> float:
-    """Triangles that a sample may be shown for each point of a light."""
-    return pipeline.traits.bundle_limit
+def most_shown(pipeline: Accelerator, points: int) -> float:
+    """Triangles that a sample may be shown by a bundle to so many points."""
+    always, each = pipeline.traits.bundle_limit
+    return always + each * points
 
 
 def _plus(counters: dict[str, int], more: dict[str, int]) -> dict[str, int]:

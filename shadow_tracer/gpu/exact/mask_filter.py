@@ -39,11 +39,12 @@ part of L.
 
 *Bias.* k is between bias / longest and bias / shortest, the lengths of the ways to the farthest corner of the box and
 to its nearest place, in float64 and 1e-5 beyond; where shortest is below 1e-6 longest its rounding would be more, and k
-has no bound. (A sphere around the box would do, too, but many a sample is within that of a large flat light.) If |g| of no point is below (|g of the middle| - half - there), and the least k times that is above |q| + here,
-the start of every ray is beyond the plane, and so is all that follows: nothing is hidden, mostly by the sample's own
-surface. If |q| - here is above the greatest k times the greatest |g|, bias plays no part and the sign of q is sure:
-only then the forms say anything. What is in between goes to the float64 filter and the exact decision, as does a point
-whose forms are within their bands.
+has no bound. (A sphere around the box would do, too, but many a sample is within that of a large flat light.) If |g| of
+no point is below (|g of the middle| - half - there), and the least k times that is above |q| + here, the start of every
+ray is beyond the plane, and so is all that follows: nothing is hidden, mostly by the sample's own surface. If |q| -
+here is above the greatest k times the greatest |g|, bias plays no part and the sign of q is sure: only then the forms
+say anything. What is in between goes to the float64 filter and the exact decision, as does a point whose forms are
+within their bands.
 
 *Underflow.* S >= 1e-20, L >= 1e-10 and place >= 2 make the edges' band 4e-37 at least, with errors of products below
 1e-37 (L < 1e15 times 1.2e-38 of a component is below 1e-25 S L); the floor of 1e-25 in the plane's, times L or m, which

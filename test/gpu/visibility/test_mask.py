@@ -233,7 +233,7 @@ def test_the_pilot_decides_about_time_alone(
     disc = DiscLight("d", (0.5, -1.0, 1.5), (0.0, 1.0, 0.25), 0.5, samples=9, ignore=["mesh"])
     found, rays = [], []
     for most in (1e9, 0.0, 1e9, 0.0):
-        monkeypatch.setattr(area_lights, "most_shown", lambda _, most=most: most)
+        monkeypatch.setattr(area_lights, "most_shown", lambda *_, most=most: most)
         frame = tracer.trace(_depth(), _CAMERA, [hard, _LIGHTS[light], disc], Bias(0.02))
         found.append([frame.visibility(name) for name in frame.names] + [frame.state(name) for name in frame.names])
         rays.append(frame.counters["nodes_visited"])
@@ -256,11 +256,12 @@ def test_the_pilot_is_spread_over_the_image(any_device: str, monkeypatch: pytest
     assert sum(counts["rays"] for counts in tried) in range(20 * 64, 41 * 64)
 
 
+@pytest.mark.parametrize("names", ["mesh_bvh/refit"])
 def test_the_pilot_asks_both_halves_of_an_image_of_powers_of_two(
-    any_device: str, monkeypatch: pytest.MonkeyPatch
+    any_device: str, names: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where it asks one sample in as many as a row has; triangles stand before samples of the right half alone."""
-    tracer = _tracer("mesh_bvh/refit", any_device)
+    tracer = _tracer(names, any_device)
     tracer.scene.put("mesh", np.array([(0.25, -2.0, 2.0), (0.25, 2.0, 2.0), (2.0, 0.0, 2.0)]), [[0, 1, 2]])
     tried: list[dict[str, int]] = []
     try_out = band.Band.try_out

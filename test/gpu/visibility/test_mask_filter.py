@@ -99,6 +99,22 @@ def test_planes_within_roundings_of_samples_starts_and_points(any_device: str, n
 
 
 @pytest.mark.parametrize("names", _WALKERS)
+def test_triangles_far_off_and_steep_before_the_sun(any_device: str, names: str) -> None:
+    """Farther from samples than the scene is large, times the cosine between their normals and the rays: at infinity
+    only the cosine's sign matters."""
+    rng = np.random.default_rng(15)
+    points = rng.uniform(-1.0, 1.0, (200, 3)) * (1.0, 1.0, 0.01)
+    middles = rng.uniform(-1.0, 1.0, (80, 3)) * (1.0, 1.0, 0.1) + (0.0, 0.0, 4.0)
+    along, aside = rng.normal(size=(2, 80, 3)) * (0.2, 0.2, 0.6)
+    mesh = (
+        np.stack([middles + along, middles - along, middles + aside], axis=1).reshape(-1, 3),
+        np.arange(240).reshape(-1, 3),
+    )
+    lamp = SunDisc("s", (0.0, 0.0, -1.0), 0.125)
+    assert _some_reach(_same(mesh, points, lamp, 0.0, names, any_device), lamp)
+
+
+@pytest.mark.parametrize("names", _WALKERS)
 @pytest.mark.parametrize("offset", [0.0, 1e6])
 def test_sheets_with_corners_on_all_rays(any_device: str, names: str, offset: float) -> None:
     """Triangles whose corners lie on the rays from a sample to the points of a light, in planes of any direction."""

@@ -42,6 +42,16 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "any_order or edges_within",
         [(_FILTER, "value = x * m[0]", "beside = 0.0f;\n            return;\n            value = x * m[0]")],
     ),
+    "lengths to the middle of the box": (
+        _OWN,
+        "planes_within and rectangle",
+        [(_MASK, "least = apart > e[k] ? apart - e[k] : 0.0", "least = apart")],
+    ),
+    "the sample's distance at infinity": (
+        _OWN,
+        "steep_before_the_sun",
+        [(_FILTER, "plane.value - w * off", "plane.value - off")],
+    ),
     "meshes that the light ignores": (
         _OTHER,
         "pilot_decides",

@@ -11,6 +11,16 @@ from mutants import Change, failing_tests
 _MASK = "visibility/mask.h"
 _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "a filter without a pad": ("roundings", [("visibility/queries.py", "MASK_PAD = 1e-14", "MASK_PAD = 0.0")]),
+    "a pilot of one column": (
+        "both_halves",
+        [
+            (
+                _MASK,
+                "(wp::uint64)(mixed ^ mixed >> 16) * (wp::uint64)asked.every >> 32 == 0",
+                "(mixed = number) % asked.every == 0",
+            )
+        ],
+    ),
     "any bias": (
         "same_points",
         [

@@ -49,7 +49,7 @@ from __future__ import annotations
 from shadow_tracer.gpu.accelerators.bvh.scene_tree import KINDS
 from shadow_tracer.gpu.accelerators.bvh.tree import Tree
 from shadow_tracer.gpu.accelerators.cone_kernels import ConeKernels, cone_scene
-from shadow_tracer.gpu.accelerators.interface import Context
+from shadow_tracer.gpu.accelerators.interface import Context, Traits
 from shadow_tracer.gpu.accelerators.walker import Build, Walk, Walker
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.occluders.world import SceneBuffers
@@ -60,9 +60,9 @@ native.constants(BLOCK_BAND=2.0**-17, BLOCK_FLOOR=1e-30)
 # Rays of a bundle are no farther than that from its middle, in units of the scene's extent, and it visits no more nodes
 # and blocks for each of them. The last is how long rays of a packet may be before they are cut.
 native.constants(WIDEST=2.0**-6, PATIENCE=4, LONGEST=1e100)
-# A triangle takes 0.02 us in a bundle to 64 points where sixteen are judged in float32, as long as one of 0.12 us (see
-# ``mesh_bvh.py``) where they are judged one by one; a ray 0.08 to 0.2 us (BART robots, conference, the red kitchen).
-_IN_BLOCKS, _ONE_BY_ONE = 6.0, 1.2
+# A triangle takes 0.02 us in a bundle to 64 points where sixteen are judged in float32; a ray 0.06 to 0.3 us (BART
+# robots, conference, the red kitchen, a room of texels).
+_IN_BLOCKS = 0.0, 6.0
 
 _QUERIES = (ANY_HIT, MASK, CLOSEST)
 # On the CPU: rays one by one, and in packets of sixteen; and a sample with all points of a light.
@@ -88,7 +88,7 @@ class Bvh(Build):
         super().__init__(variant, scene)
         self.tree = KINDS[variant](scene)
         self.walk = _THREADED if self.tree.threaded else PACKETS if forms.wide(scene.device) else _PAIRS
-        self.bundle_limit = _IN_BLOCKS if self.walk is PACKETS else _ONE_BY_ONE
+        self.bundle_limit = _IN_BLOCKS if self.walk is PACKETS else Traits.bundle_limit
 
     def build(self) -> Tree:
         """Refit or build the tree."""

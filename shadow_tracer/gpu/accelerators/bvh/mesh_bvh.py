@@ -50,9 +50,6 @@ class Structure:
 
 
 _WIDE = Walk("accelerators/bvh/wide_tree.h", Structure, queries=(ANY_HIT, MASK, CLOSEST))
-# A triangle takes 0.12 us in a bundle to 64 points, in float64; a ray 0.12 to 0.25 us (BART robots, conference, the red
-# kitchen).
-_BUNDLE_LIMIT = 1.2
 _BINARY = Walk("accelerators/bvh/binary_tree.h", Structure, queries=(ANY_HIT, MASK, CLOSEST))
 
 
@@ -65,7 +62,6 @@ class MeshBvh(Build):
     """
 
     queries = (ANY_HIT, MASK)
-    bundle_limit = _BUNDLE_LIMIT
 
     def __init__(self, variant: str, scene: SceneBuffers) -> None:
         super().__init__(variant, scene)
