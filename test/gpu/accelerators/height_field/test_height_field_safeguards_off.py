@@ -137,8 +137,11 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     ),
     "a ray meets the surface where quads are missing": (
         _SWEPT,
-        "hole or suns",
-        [(_PROFILE, "there = sum == sum;", "there = true;")],
+        "beside_a_border",
+        [
+            (_PROFILE, "there = sum == sum;", "there = true;"),
+            (_PROFILE, "first >= 0 && last < sweep.across;", "true;"),
+        ],
     ),
     "one chart is as good as all": (
         _SWEPT,

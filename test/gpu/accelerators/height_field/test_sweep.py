@@ -125,6 +125,18 @@ def test_a_hole_lets_the_sun_through(any_device: str) -> None:
     assert _is_swept(tracer) and (seen == 0).any() and (seen == 1).any()
 
 
+@pytest.mark.parametrize("hole", [0, 8])
+def test_rays_beside_a_border_by_less_than_is_rounded(any_device: str, hole: int) -> None:
+    """They go to a wall that ends a billionth of a cell beside them: they are taken to the border, and pass it."""
+    z = np.zeros((24, 24))
+    z[:, 15:], z[:hole] = 10.0, np.nan
+    field = HeightField(z, 1.0)
+    along, up = np.meshgrid(np.arange(6.25, 15.0, 0.5), np.arange(0.25, 9.0, 0.5))
+    points = np.stack([along, np.full(along.shape, 1e-9 - hole), up], axis=-1).reshape(-1, 3)
+    states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, [sun(0.0, 90.0)])
+    assert _is_swept(tracer) and (states == 0).any()
+
+
 def test_it_decides_nearly_all(any_device: str) -> None:
     """Of a hundred rays a few are left to the exact walk; alone they are all; the answers are the same."""
     rng = np.random.default_rng(5)
