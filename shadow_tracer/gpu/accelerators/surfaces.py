@@ -60,7 +60,11 @@ class Surfaces(Accelerator):
         asked.vertices, asked.triangles = context.scene.vertices, context.scene.triangles
         asked.counters = samples.counters
         with context.stages.stage("trace"):
+            self.first_look(asked)
             self.walk.launch(IN_PLACE, samples.count, structure, asked, samples.device)
+
+    def first_look(self, asked: InPlace) -> None:
+        """Say of rays what is known without a walk: hide them, or note in ``asked.passed`` that they pass."""
 
     def learn(self, counters: dict[str, int]) -> None:
         """Nothing: counters hold what surfaces test as well, so they say nothing about the meshes' own tree."""

@@ -13,11 +13,15 @@ struct InPlace1 {
     inline explicit InPlace1(const Asked& asked)
         : asked(asked), taken(0), hider(-1), tests(0), nodes(0), retested(0), exact(0) {}
     inline void take(int number) {
+        if (asked.passed.shape[0] && asked.passed.data[number] == 2)
+            return;
         if (asked.states.data[number] != LIT || asked.rays.data[number][0] != asked.rays.data[number][0])
             return;
         ray[0] = number;
         taken = 1;
     }
+    // Whether that part of the structure that was looked at before does not hide the ray.
+    inline bool passes() const { return asked.passed.shape[0] && asked.passed.data[ray[0]]; }
     inline bool full() const { return taken == 1; }
     inline void begin() { hider = -1; }
     inline void hide() { asked.states.data[ray[0]] = SHADOWED; }

@@ -95,6 +95,7 @@ class InPlace:
     positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
     rays: wp.array(dtype=wp.vec4)
     states: wp.array(dtype=wp.uint8)
+    passed: wp.array(dtype=wp.uint8)  # rays that a part of the structure is known not to hide: 1; or all of it: 2
     vertices: wp.array(dtype=wp.vec3d)
     triangles: wp.array(dtype=wp.vec3i)
     counters: wp.array2d(dtype=wp.int64)

@@ -43,15 +43,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import warp as wp
+
 from shadow_tracer.gpu.accelerators.height_field.charts import Charts, Structure
 from shadow_tracer.gpu.accelerators.height_field.silent import Silent
-from shadow_tracer.gpu.accelerators.height_field.sweep import Sweeps
+from shadow_tracer.gpu.accelerators.height_field.sweep import Sweeps, look
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.accelerators.surfaces import Surfaces
 from shadow_tracer.gpu.accelerators.walker import Walk
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.visibility.queries import IN_PLACE
+from shadow_tracer.gpu.visibility.queries import IN_PLACE, InPlace
 from shadow_tracer.scene.mesh import Mesh
 
 _SIXTEEN = Walk("accelerators/height_field/down16.h", Structure, queries=(IN_PLACE,))
@@ -66,6 +68,7 @@ class HeightFields(Surfaces):
         self._charts: Charts = context.scene.made.take(Charts, lambda: Charts(context.scene))
         self._silent: Silent = context.scene.made.take(Silent, lambda: Silent(context.scene))
         self._sweeps: Sweeps = context.shared.take(Sweeps, lambda: Sweeps(context.records.bounds, context.scene))
+        self._passed = wp.empty(context.samples.bounds.max_rays, dtype=wp.uint8, device=context.samples.device)
         self.walk = _SIXTEEN if forms.wide(context.samples.device) else _ONE
 
     def structure(self) -> Structure | None:
@@ -92,6 +95,17 @@ class HeightFields(Surfaces):
         with context.stages.stage("setup"):
             sweeps.make(charts, lights[0], count, context.records.front_face_culling)
             charts.structure.sweep, charts.structure.bounds = sweeps.sweep, sweeps.bounds
+
+    def first_look(self, asked: InPlace) -> None:
+        """What the sweep says of the rays of a sun."""
+        structure, samples = self._charts.structure, self._context.samples
+        if structure.sweep.number >= 0:
+            asked.passed = self._passed
+            look(samples.count, structure, asked, samples.device)
+
+    def nbytes(self) -> int:
+        """Bytes on the device, those that all bands have in common aside."""
+        return super().nbytes() + int(self._passed.capacity)
 
     def silent(self, light: LightFrame) -> tuple[int, int]:
         """Of the meshes, as their records say, and of the charts."""

@@ -1,165 +1,253 @@
-// needs: accelerators/height_field/place.h
+// needs: device/lanes.h accelerators/height_field/place.h
 // arguments: Sweep sweep, DeviceChart chart
-// constants: SWEEP_PAD SWEEP_STEPS SWEEP_BESIDE SWEEP_WEIGHT
-// A ray over the heights of a swept chart, strip by strip between two lines, until a bound says what becomes of it; see
-// sweep.py.
-struct Profile {
-    enum { UNDECIDED, LIT, HIDDEN };
+// constants: SWEEP_PAD SWEEP_BESIDE SWEEP_WEIGHT
+// lanes
+// LANES rays over the heights of a swept chart, from line to line, row to row and diagonal to diagonal, until a bound
+// says what becomes of them; see sweep.py.
+struct WIDE(Profile) {
+#if LANES == 1
+    typedef double Number;
+    typedef wp::int64 Truth;
+#else
+    typedef double Number __attribute__((ext_vector_type(LANES), aligned(8)));
+    typedef long Truth __attribute__((ext_vector_type(LANES), aligned(8)));
+#endif
     const Sweep& sweep;
-    const float* heights;
-    double x, y, v; // where the ray is: along the lines' way, height, across
-    double from;    // where along the way it begins to matter
-    bool biased;
-    bool clear; // it has met nothing so far
-    int side;   // 1: it has been above the surface, -1: below it, where it mattered
-    int strips; // that it has crossed
+    const float *heights, *bounds;
+    Number x, y, v;           // where the rays are: along the lines' way, height, across
+    Number from;              // where along the way it begins to matter
+    Number line, begin, next; // the last line; where they crossed it, or began behind it; where they cross the next one
+    Number side;              // 1: it has been above the surface, -1: below it, where it mattered
+    Truth biased;
+    Truth clear;       // it has met nothing so far
+    Truth active;      // those of which it is not known
+    Truth lit, hidden; // what has been found out
+    int strips;        // that they have crossed, all together
 
-    inline Profile(const Sweep& sweep, const wp::array_t<float>& heights)
-        : sweep(sweep), heights(heights.data), x(0.0), y(0.0), v(0.0), from(0.0), biased(false), clear(true), side(0),
-          strips(0) {}
-    inline double at(int line, int place) const {
-        return heights[sweep.base + (wp::int64)line * sweep.next_line + (wp::int64)place * sweep.next];
+    inline WIDE(Profile)(const Sweep& sweep, const float* heights, const float* bounds)
+        : sweep(sweep), heights(heights), bounds(bounds), strips(0) {}
+    static inline int bits(Truth x) {
+#if LANES == 1
+        return x != 0;
+#else
+        return __builtin_bit_cast(unsigned short, __builtin_convertvector(x, WIDE(Bit)));
+#endif
     }
-    static inline double snapped(double value) {
-        const double whole = floor(value + 0.5);
-        return fabs(value - whole) < SWEEP_BESIDE ? whole : value;
+    static inline int count(Truth x) {
+#if LANES == 1
+        return x != 0;
+#else
+        return __builtin_popcount(bits(x));
+#endif
+    }
+    static inline Number down(Number x) {
+#if LANES == 1
+        return floor(x);
+#else
+        return __builtin_elementwise_floor(x);
+#endif
+    }
+    static inline Number size(Number x) {
+#if LANES == 1
+        return fabs(x);
+#else
+        return __builtin_elementwise_abs(x);
+#endif
+    }
+    static inline double lane(Number x, int j) {
+#if LANES == 1
+        return x;
+#else
+        return x[j];
+#endif
+    }
+    static inline Number smaller(Number x, Number y) { return x < y ? x : y; }
+    // Where `asked`, numbers of an array, whole ones from `index` on.
+    static inline Number gather(const float* from, Truth asked, Number index) {
+#if LANES == 1
+        return asked ? from[(wp::int64)index] : 0.0;
+#else
+        const Truth number = __builtin_convertvector(asked ? index : (Number)0.0, Truth);
+        float some[LANES];
+        for (int j = 0; j < LANES; ++j)
+            some[j] = from[number[j]];
+        return __builtin_convertvector(WIDE(Lanes)::load(some), Number);
+#endif
+    }
+    static inline Number snapped(Number value) {
+        const Number whole = down(value + 0.5);
+        return size(value - whole) < SWEEP_BESIDE ? whole : value;
+    }
+    // Corners of a quad: on the line and on the next one, at the place and at the next one.
+    struct Quad {
+        Number a, b, c, d;
+    };
+    inline Quad quad(Truth asked, Number at, Number place) const {
+        const float* from = heights + sweep.base;
+        const Number index = at * (double)sweep.next_line + place * (double)sweep.next;
+        return { gather(from, asked, index), gather(from + sweep.next_line, asked, index),
+                 gather(from + sweep.next, asked, index), gather(from + sweep.next_line + sweep.next, asked, index) };
     }
     // The height of the surface within a quad.
-    inline double surface(int line, int place, double X, double V) const {
-        const double a = at(line, place), b = at(line + 1, place), c = at(line, place + 1), d = at(line + 1, place + 1);
+    inline Number surface(const Quad& q, Number X, Number V) const {
         if (sweep.mirrored)
-            return X + V <= 1.0 ? a + X * (b - a) + V * (c - a) : d + (1.0 - X) * (c - d) + (1.0 - V) * (b - d);
-        return V >= X ? a + V * (c - a) + X * (d - c) : a + X * (b - a) + V * (d - b);
+            return X + V <= 1.0 ? q.a + X * (q.b - q.a) + V * (q.c - q.a)
+                                : q.d + (1.0 - X) * (q.c - q.d) + (1.0 - V) * (q.b - q.d);
+        return V >= X ? q.a + V * (q.c - q.a) + X * (q.d - q.c) : q.a + X * (q.b - q.a) + V * (q.d - q.b);
     }
-    // Whether all quads that the ray may touch between two lines are there.
-    inline bool whole(int line, double one, double two) const {
-        const double low = one < two ? one : two, high = one < two ? two : one;
-        const int first = (int)floor(low - 0x1p-20), last = (int)ceil(high + 0x1p-20);
-        if (first < 0 || last >= sweep.across)
-            return false;
-        for (int k = first; k <= last; ++k) {
-            const double sum = at(line, k) + at(line + 1, k);
-            if (!(sum == sum))
-                return false;
-        }
-        return true;
-    }
-    // Takes note of how far the ray is above the surface at a place along the way.
-    inline bool note(double over, double place, int line, double one, double two, int& found) {
-        const int now = over > SWEEP_PAD ? 1 : over < -SWEEP_PAD ? -1 : 0;
-        if (now == 0 || side * now < 0) {
-            found = now != 0 && whole(line, one, two) ? HIDDEN : UNDECIDED;
-            return false;
-        }
-        clear &= now > 0;
-        if (place >= from)
-            side = now;
-        return true;
-    }
-    // The bounds on a line of the band that the ray is in; null where that is beside the surface.
-    inline const float* band(const float* bounds, int line) const {
-        const int place = (int)floor(v - sweep.drift * x) - (int)floor(-(sweep.drift * line));
-        return place < 0 || place >= sweep.across ? nullptr : bounds + (size_t)line * sweep.pitch + place;
-    }
-    // What the bounds on a line say, where the ray is now.
-    inline int bounded(const float* bounds, int line) const {
-        const float* here = band(bounds, line);
-        if (!here)
-            return UNDECIDED;
-        const size_t plane = (size_t)sweep.lines * sweep.pitch;
-        const double level = y - sweep.rise * line;
-        if (clear && level > here[0] + sweep.pad)
-            return LIT;
-        if (biased)
-            return UNDECIDED;
-        const bool over = side > 0 && level < here[plane] - sweep.pad;
-        const bool under = side < 0 && level > here[2 * plane] + sweep.pad;
-        return over || under ? HIDDEN : UNDECIDED;
-    }
-    // To the next line; false if it is known what becomes of the ray.
-    inline bool step(int line, int& found) {
-        const double begin = v, x1 = line + 1, v1 = v + sweep.drift * (x1 - x);
-        const float* here = heights + sweep.base + (wp::int64)line * sweep.next_line;
-        for (;;) {
-            int place = (int)floor(v);
-            if (v == place && (sweep.drift < 0.0 || (sweep.drift == 0.0 && place == sweep.across - 1)))
-                --place;
-            if (place < 0 || place >= sweep.across - 1) {
-                // It leaves the surface, unless it goes along the border.
-                found = clear && fabs(sweep.drift) >= 0.5 ? LIT : UNDECIDED;
-                return false;
+    // Those of some lanes of which all quads that the ray may touch between its lines are there.
+    inline Truth whole(Truth some) const {
+        Truth found = some;
+        for (int j = 0; j < LANES; ++j)
+            if (bits(some) >> j & 1) {
+                const double one = lane(begin, j), two = lane(next, j);
+                const int first = (int)floor((one < two ? one : two) - 0x1p-20);
+                const int last = (int)ceil((one < two ? two : one) + 0x1p-20);
+                const float* here = heights + sweep.base + (wp::int64)lane(line, j) * sweep.next_line;
+                bool there = first >= 0 && last < sweep.across;
+                for (int k = first; there && k <= last; ++k) {
+                    const float sum =
+                        here[(wp::int64)k * sweep.next] + here[sweep.next_line + (wp::int64)k * sweep.next];
+                    there = sum == sum;
+                }
+#if LANES == 1
+                found = there;
+#else
+                found[j] = there ? found[j] : 0;
+#endif
             }
-            const bool over = v1 > place + 1, under = v1 < place;
-            const double v2 = over ? place + 1 : under ? place : v1;
-            double x2 = over || under ? x + (v2 - v) / sweep.drift : x1;
-            x2 = x2 < x1 ? x2 : x1;
-            const double X1 = x - line, V1 = v - place, X2 = x2 - line, V2 = v2 - place;
-            const double one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1,
-                         two = sweep.mirrored ? V2 - (1.0 - X2) : V2 - X2;
-            const float* quad = here + (wp::int64)place * sweep.next;
-            const double a = quad[0], b = quad[sweep.next_line], c = quad[sweep.next],
-                         d = quad[sweep.next_line + sweep.next];
-            if (one * two < 0.0) {
-                const double share = one / (one - two), X = X1 + share * (X2 - X1);
-                const double z = sweep.mirrored ? (1.0 - X) * c + X * b : (1.0 - X) * a + X * d;
-                if (!note(y + sweep.rise * (X - X1) - z, line + X, line, begin, v1, found))
-                    return false;
-            }
-            y += sweep.rise * (x2 - x);
-            x = x2;
-            v = v2;
-            const bool end = !(over || under);
-            const double z = end ? (1.0 - V2) * b + V2 * d : (1.0 - X2) * (over ? c : a) + X2 * (over ? d : b);
-            if (!note(y - z, x, line, begin, v1, found))
-                return false;
-            if (end)
-                return true;
+        return found;
+    }
+    // Takes note of how far rays are above the surface at places along the way.
+    inline void note(Truth some, Number over, Number place) {
+        const Number one = 1.0, none = 0.0;
+        const Number now = over > SWEEP_PAD ? one : (over < -SWEEP_PAD ? -one : none);
+        const Truth changed = some & ((now == 0.0) | (side * now < 0.0));
+        const Truth crossed = changed & (now != 0.0);
+        if (bits(crossed))
+            hidden = hidden | whole(crossed);
+        active = active & (changed == 0);
+        clear = clear & ((some == 0) | (now > 0.0));
+        side = (some & (place >= from)) ? now : side;
+    }
+    // What the bounds on the line say that rays have come to.
+    inline void bounded(Truth some) {
+        const Number at = line + 1.0, place = down(v - sweep.drift * x) - down(-(sweep.drift * at));
+        const Truth there = some & (place >= 0.0) & (place < (double)sweep.across); // else it is beside the surface
+        const Number index = at * (double)sweep.pitch + place, level = y - sweep.rise * at;
+        const double pad = sweep.pad;
+        const Truth above = there & clear & (level > gather(bounds, there, index) + pad);
+        lit = lit | above;
+        active = active & (above == 0);
+        const Truth left = there & (above == 0) & (biased == 0);
+        if (bits(left)) {
+            const size_t plane = (size_t)sweep.lines * sweep.pitch;
+            const Truth over = (side > 0.0) & (level < gather(bounds + plane, left, index) - pad);
+            const Truth under = (side < 0.0) & (level > gather(bounds + 2 * plane, left, index) + pad);
+            const Truth met = left & (over | under);
+            hidden = hidden | met;
+            active = active & (met == 0);
         }
     }
-    // What becomes of the ray from a sample to the sun.
-    inline int look(const DeviceChart& chart, double beside, const wp::vec4d& sample, const wp::vec3d* vertices,
-                    const float* bounds) {
-        const double dx = sample[0] - chart.center[0], dy = sample[1] - chart.center[1],
+    // Some are on a line, or behind it where they begin.
+    inline void enter(Truth some) {
+        Truth over = some & (line >= (double)(sweep.lines - 1));
+        if (sweep.rise >= 0.0)
+            over = over | (some & (side > 0.0) & (y > 65536.0));
+        lit = lit | (over & clear);
+        active = active & (over == 0);
+        begin = some ? v : begin;
+        next = some ? v + sweep.drift * (line + 1.0 - x) : next;
+    }
+    // To where the ray leaves the quad that it is in.
+    inline void step() {
+        const Number x1 = line + 1.0;
+        Number place = down(v);
+        if (sweep.drift < 0.0)
+            place = v == place ? place - 1.0 : place;
+        else if (sweep.drift == 0.0)
+            place = ((v == place) & (place == (double)(sweep.across - 1))) ? place - 1.0 : place;
+        const Truth out = active & ((place < 0.0) | (place >= (double)(sweep.across - 1)));
+        // It leaves the surface, unless it goes along the border.
+        lit = lit | (fabs(sweep.drift) >= 0.5 ? out & clear : out & 0);
+        active = active & (out == 0);
+        const Truth over = next > place + 1.0, under = next < place, cut = over | under;
+        const Number v2 = over ? place + 1.0 : (under ? place : next);
+        Number x2 = x1;
+        if (bits(cut & active))
+            x2 = cut ? smaller(x + (v2 - v) / sweep.drift, x1) : x1;
+        const Number X1 = x - line, V1 = v - place, X2 = x2 - line, V2 = v2 - place;
+        const Number one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1, two = sweep.mirrored ? V2 - (1.0 - X2) : V2 - X2;
+        const Quad q = quad(active, line, place);
+        const Truth diagonal = active & (one * two < 0.0);
+        if (bits(diagonal)) {
+            const Number share = one / (one - two), X = X1 + share * (X2 - X1);
+            const Number z = sweep.mirrored ? (1.0 - X) * q.c + X * q.b : (1.0 - X) * q.a + X * q.d;
+            note(diagonal, y + sweep.rise * (X - X1) - z, line + X);
+        }
+        y = y + sweep.rise * (x2 - x);
+        x = x2;
+        v = v2;
+        const Number z = cut ? (1.0 - X2) * (over ? q.c : q.a) + X2 * (over ? q.d : q.b) : (1.0 - V2) * q.b + V2 * q.d;
+        note(active, y - z, x);
+        const Truth arrived = active & (cut == 0);
+        if (bits(arrived)) {
+            strips += count(arrived);
+            bounded(arrived);
+            line = arrived ? line + 1.0 : line;
+            enter(arrived & active);
+        }
+    }
+    static inline Number row(const wp::vec4d& m, Number x, Number y, Number z) {
+        return m[0] * x + m[1] * y + m[2] * z + m[3];
+    }
+    // What becomes of the rays from samples to the sun; those of `asked` alone.
+    inline void look(const DeviceChart& chart, Truth asked, const Number sample[4], const wp::vec3d* vertices,
+                     int pieces) {
+        const Number dx = sample[0] - chart.center[0], dy = sample[1] - chart.center[1],
                      dz = sample[2] - chart.center[2];
-        const double weight = chart.weight * (fabs(dx) + fabs(dy) + fabs(dz)) + chart.weight_constant;
-        if (!(beside <= SWEEP_BESIDE) || !(weight * (chart.rows + chart.columns) <= SWEEP_WEIGHT))
-            return UNDECIDED;
-        const Homogeneous q = Homogeneous::of(chart, dx, dy, dz, 1.0);
-        const double column = snapped(q.s), row = snapped(q.t);
-        const double along = sweep.by_rows ? row : column;
+        const Number weight = chart.weight * (size(dx) + size(dy) + size(dz)) + chart.weight_constant;
+        const Number column = snapped(row(chart.s, dx, dy, dz)), place = snapped(row(chart.t, dx, dy, dz));
+        const Number along = sweep.by_rows ? place : column;
         x = sweep.mirrored ? sweep.lines - 1 - along : along;
-        v = sweep.by_rows ? column : row;
-        y = q.h;
-        if (!inside())
-            return UNDECIDED;
-        bool corner = row == floor(row) && column == floor(column);
-        if (corner) {
-            const wp::vec3d& p = vertices[chart.first_vertex + (int)row * chart.columns + (int)column];
-            corner = p[0] == sample[0] && p[1] == sample[1] && p[2] == sample[2];
-        }
-        const double bias = sample[3] * sweep.per_metre;
-        biased = bias > 0.0;
-        from = biased ? x + bias + 0x1p-20 : x;
+        v = sweep.by_rows ? column : place;
+        y = row(chart.h, dx, dy, dz);
+        active = asked & (weight * (double)(chart.rows + chart.columns) <= SWEEP_WEIGHT) & (x >= 0.0)
+                 & (x <= (double)(sweep.lines - 1)) & (v >= 0.0) & (v <= (double)(sweep.across - 1));
+        lit = hidden = active & 0;
+        if (!bits(active))
+            return;
+        clear = active;
+        side = 0.0;
+        biased = sample[3] > 0.0;
+        from = biased ? x + sample[3] * sweep.per_metre + 0x1p-20 : x;
+        line = down(x);
+        begin = next = v;
+        const Number first = line == (double)(sweep.lines - 1) ? line - 1.0 : line;
+        const Number left = down(v), beside = left == (double)(sweep.across - 1) ? left - 1.0 : left;
+        const Number over = y - surface(quad(active, first, beside), x - first, v - beside);
         // Triangles at a corner never hide the corner.
-        if (!corner) {
-            int line = (int)floor(x), place = (int)floor(v), found;
-            line -= line == sweep.lines - 1;
-            place -= place == sweep.across - 1;
-            if (!note(y - surface(line, place, x - line, v - place), x, line, v, v, found))
-                return UNDECIDED;
-        }
-        for (; strips < SWEEP_STEPS; ++strips) {
-            const int line = (int)floor(x);
-            if (line >= sweep.lines - 1 || (sweep.rise >= 0.0 && side > 0 && y > 65536.0))
-                return clear ? LIT : UNDECIDED;
-            int found;
-            if (!step(line, found))
-                return found;
-            found = bounded(bounds, line + 1);
-            if (found != UNDECIDED)
-                return found;
-        }
-        return UNDECIDED;
+        note(active & (corner(chart, sample, place, column, over, vertices) == 0), over, x);
+        enter(active);
+        for (int k = 0; bits(active) && k < pieces; ++k)
+            step();
     }
-    inline bool inside() const { return x >= 0.0 && x <= sweep.lines - 1 && v >= 0.0 && v <= sweep.across - 1; }
+    // Those that are positions of the surface.
+    inline Truth corner(const DeviceChart& chart, const Number sample[4], Number row, Number column, Number over,
+                        const wp::vec3d* vertices) const {
+        Truth found = active & (row == down(row)) & (column == down(column)) & (size(over) <= SWEEP_PAD);
+        for (int j = 0; bits(found) && j < LANES; ++j)
+            if (bits(found) >> j & 1) {
+                const wp::vec3d& p =
+                    vertices[chart.first_vertex + (int)lane(row, j) * chart.columns + (int)lane(column, j)];
+                const bool same =
+                    p[0] == lane(sample[0], j) && p[1] == lane(sample[1], j) && p[2] == lane(sample[2], j);
+#if LANES == 1
+                found = same;
+#else
+                found[j] = same ? found[j] : 0;
+#endif
+            }
+        return found;
+    }
 };

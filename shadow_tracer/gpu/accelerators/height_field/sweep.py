@@ -29,7 +29,7 @@ is said:
    sun is not in the triangle's plane, the sample is strictly on the other side of it, at the same distance along a
    linear function, and the point is in the closed triangle. That is what the exact decision asks (``decision.py``).
 3. Everything else goes to the exact walk: so does a ray that begins beside the surface, that comes closer to it than
-   ``_PAD``, meets a position that is not valid, or has not been decided after ``_STEPS`` strips.
+   ``_PAD``, meets a position that is not valid, or has not been decided after ``_PIECES`` pieces of its way.
 
 With a bias the ray begins at the sample all the same: a clear one is lit whatever the bias is. The first place where it
 is said to be above or below is at or behind the biased start, so the point in between is behind that. But the exact
@@ -63,6 +63,13 @@ Levels in the bounds are float32: heights and rises of up to 2^16 + abs(rise) * 
 of that; ``pad`` is 2^-22 of it. The other half holds what heights are off, 2^-8, and abs(rise) * 2^-26.4 of what is
 beside.
 
+A ray takes part in this only as one of those that ask, and what is found is noted for each (``first_look.h``): hidden,
+or that nothing of the chart hides it. Sixteen rays go together, in two registers of float64, with masks instead of
+branches; each lane does what a ray alone would do, so nothing above changes. Those that are not decided after two
+pieces of their way are collected, a block's together, and begin once more, for eight, for 32 and for ``_PIECES``: else
+fifteen would wait for the one that goes far. Whether a sample is a position of the surface is looked up only where it
+is no further from its height than ``_PAD``: a position is within half of that.
+
 The sweep reads each height a few times and writes three numbers a cell; a ray then reads a few heights and one or two
 of the numbers. It is done for the largest terrain of a scene, for suns, where there are at least an eighth as many
 samples as quads, and not where front faces are culled, as surfaces are open then, or where the light ignores a mesh.
@@ -71,24 +78,28 @@ samples as quads, and not where front faces are culled, as surfaces are open the
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Sweep
+from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Structure, Sweep
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.world import SceneBuffers
+from shadow_tracer.gpu.visibility.queries import InPlace
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.chart import STEPS
 
 _LANES = wp.constant(16)
+_BLOCK = wp.constant(1024)  # rays of a task in the wide form
 _PAD = 2.0**-6  # steps
 _WEIGHT = 2.0**22
 _STEEPEST = 2.0**16  # steps a line
-_STEPS = 32  # strips
+_PIECES = 80  # of a ray: the way to the next line, or row between two quads
 _SHARE = 8  # quads to a sample
-native.constants(SWEEP_WEIGHT=_WEIGHT, SWEEP_PAD=_PAD, SWEEP_STEPS=_STEPS, SWEEP_BESIDE=BESIDE)
+native.constants(SWEEP_WEIGHT=_WEIGHT, SWEEP_PAD=_PAD, SWEEP_PIECES=_PIECES, SWEEP_BESIDE=BESIDE)
+native.constants(FIRST_LOOK_BLOCK=int(_BLOCK))
 
 
 @native.func_native("accelerators/height_field/sweep.h", calls="Sweeper1::bands")
@@ -111,6 +122,37 @@ def sweep_bands(sweep: Sweep, first: int, heights: wp.array(dtype=float), bounds
 @wp.kernel(enable_backward=False)
 def sweep_band_blocks(sweep: Sweep, first: int, heights: wp.array(dtype=float), bounds: wp.array(dtype=float)):
     sweep_sixteen(sweep, first + _LANES * wp.tid(), heights, bounds)
+
+
+@native.func_native("accelerators/height_field/first_look.h", calls="FirstLook1::some")
+def look_at_one(first: int, last: int, row: int, structure: Structure, asked: InPlace):
+    """What the sweep says of a ray."""
+    ...
+
+
+@native.func_native("accelerators/height_field/first_look.h@16", calls="FirstLook16::some")
+def look_at_some(first: int, last: int, row: int, structure: Structure, asked: InPlace):
+    """What the sweep says of rays, sixteen at a time."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def look_at_rays(structure: Structure, asked: InPlace):
+    look_at_one(wp.tid(), wp.tid() + 1, wp.tid(), structure, asked)
+
+
+@wp.kernel(enable_backward=False)
+def look_at_blocks(count: int, structure: Structure, asked: InPlace):
+    first = wp.tid() * _BLOCK
+    look_at_some(first, wp.min(first + _BLOCK, count), wp.tid(), structure, asked)
+
+
+def look(count: int, structure: Structure, asked: InPlace, device: Any) -> None:
+    """Let the sweep say what it can of ``count`` rays. Its kernels were loaded when the sweep was made."""
+    if forms.wide(device):
+        wp.launch(look_at_blocks, dim=-(-count // int(_BLOCK)), inputs=[count, structure, asked], device=device)
+    else:
+        wp.launch(look_at_rays, dim=count, inputs=[structure, asked], device=device)
 
 
 class Sweeps:

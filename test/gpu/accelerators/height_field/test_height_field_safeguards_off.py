@@ -10,6 +10,7 @@ from mutants import Change, failing_tests
 
 _ROOM = "accelerators/height_field/"
 _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sweep.h"
+_LOOK = _ROOM + "first_look.h"
 _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
 
@@ -90,14 +91,14 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "nothing before the line matters": (
         _SWEPT,
         "suns or biases",
-        [(_PROFILE, "clear && level > here[0] + sweep.pad", "level > here[0] + sweep.pad")],
+        [(_PROFILE, "there & clear & (level >", "there & (level >")],
     ),
-    "no diagonals": (_SWEPT, "suns or every_way", [(_PROFILE, "one * two < 0.0", "false")]),
+    "no diagonals": (_SWEPT, "suns or every_way", [(_PROFILE, "active & (one * two < 0.0)", "active & 0")]),
     "diagonals as if nothing were mirrored": (
         _SWEPT,
         "suns or every_way",
         [
-            (_PROFILE, "const double one = sweep.mirrored ?", "const double one = false ?"),
+            (_PROFILE, "const Number one = sweep.mirrored ?", "const Number one = false ?"),
             (_PROFILE, "two = sweep.mirrored ?", "two = false ?"),
         ],
     ),
@@ -105,34 +106,63 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "below is as good as above": (
         _SWEPT,
         "suns",
-        [(_PROFILE, "side > 0 && level < here[plane] - sweep.pad", "level < here[plane] - sweep.pad")],
+        [(_PROFILE, "(side > 0.0) & (level < gather(", "(side * side >= 0.0) & (level < gather(")],
     ),
     "every sample at a corner is the corner": (
         _SWEPT,
         "suns",
-        [(_PROFILE, "corner = p[0] == sample[0] && p[1] == sample[1] && p[2] == sample[2];", "corner = p[0] == p[0];")],
+        [(_PROFILE, "const bool same =", "const bool same = true ||")],
     ),
     "the bias does not matter": (
         _SWEPT,
         "biases",
         [
-            (_PROFILE, "from = biased ? x + bias + 0x1p-20 : x;", "from = x;"),
+            (_PROFILE, "from = biased ? x + sample[3] * sweep.per_metre + 0x1p-20 : x;", "from = x;"),
         ],
     ),
     "bounds hide what has a bias": (
         _SWEPT,
         "in_the_way",
-        [(_PROFILE, "if (biased)\n            return", "if (false)\n            return")],
+        [(_PROFILE, " & (biased == 0);", ";")],
     ),
     "what leaves along the border is gone": (
         _SWEPT,
         "suns or stairs",
-        [(_PROFILE, "clear && fabs(sweep.drift) >= 0.5 ? LIT", "true ? LIT")],
+        [(_PROFILE, "(fabs(sweep.drift) >= 0.5 ? out & clear : out & 0)", "out")],
     ),
     "swept with positions out of place": (
         _SWEPT,
         "out_of_place",
-        [(_PROFILE, "!(beside <= SWEEP_BESIDE)", "false")],
+        [(_LOOK, "!(structure.beside.data[number] <= SWEEP_BESIDE)", "false")],
+    ),
+    "a ray meets the surface where quads are missing": (
+        _SWEPT,
+        "beside_a_border",
+        [
+            (_PROFILE, "there = sum == sum;", "there = true;"),
+            (_PROFILE, "first >= 0 && last < sweep.across;", "true;"),
+        ],
+    ),
+    "one chart is as good as all": (
+        _SWEPT,
+        "second_terrain",
+        [(_LOOK, "structure.count == 1 ? 2 : 1", "2")],
+    ),
+    "what passed in the frame before": (
+        _SWEPT,
+        "suns",
+        [
+            (
+                _LOOK,
+                "asked.passed.data[rays[j]] = lit >> j & 1 ? passes : 0;",
+                "if (lit >> j & 1) asked.passed.data[rays[j]] = passes;",
+            )
+        ],
+    ),
+    "points that do not ask": (
+        _SWEPT,
+        "invalid",
+        [(_LOOK, "(asked.states.data[ray] == LIT) & (start == start)", "(start == start || true)")],
     ),
     "a larger bias than there is": (
         _SWEPT,

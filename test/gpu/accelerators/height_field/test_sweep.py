@@ -27,7 +27,7 @@ def _samples(rng: np.random.Generator, field: HeightField) -> np.ndarray:
     rows, columns = field.shape
     low, high = positions.min(axis=0), positions.max(axis=0)
     anywhere = rng.uniform(low - 1.0, high + 1.0, (400, 3))
-    moved = [positions + (0, 0, up) for up in (0.1, 2.0, -0.1, 1e-4, -1e-4)]
+    moved = [positions + (0, 0, up) for up in (0.1, 2.0, -0.1, 1e-4, -1e-4, 1e-8, -1e-8)]
     halfway = 0.5 * (positions[1:] + positions[:-1])
     near = positions + 1e-3 * rng.uniform(-1, 1, positions.shape)
     return np.concatenate([positions, *moved, halfway, near, anywhere])
@@ -125,6 +125,18 @@ def test_a_hole_lets_the_sun_through(any_device: str) -> None:
     assert _is_swept(tracer) and (seen == 0).any() and (seen == 1).any()
 
 
+@pytest.mark.parametrize("hole", [0, 8])
+def test_rays_beside_a_border_by_less_than_is_rounded(any_device: str, hole: int) -> None:
+    """They go to a wall that ends a billionth of a cell beside them: they are taken to the border, and pass it."""
+    z = np.zeros((24, 24))
+    z[:, 15:], z[:hole] = 10.0, np.nan
+    field = HeightField(z, 1.0)
+    along, up = np.meshgrid(np.arange(6.25, 15.0, 0.5), np.arange(0.25, 9.0, 0.5))
+    points = np.stack([along, np.full(along.shape, 1e-9 - hole), up], axis=-1).reshape(-1, 3)
+    states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, [sun(0.0, 90.0)])
+    assert _is_swept(tracer) and (states == 0).any()
+
+
 def test_it_decides_nearly_all(any_device: str) -> None:
     """Of a hundred rays a few are left to the exact walk; alone they are all; the answers are the same."""
     rng = np.random.default_rng(5)
@@ -171,6 +183,22 @@ def test_the_same_sun_over_a_surface_that_changes(any_device: str) -> None:
                 step(scene)
 
         agree(any_device, setup, points, [sun(7.0, 130.0)], ours=ours)
+
+
+@pytest.mark.parametrize("count", [1100, 1500, 2049])
+def test_invalid_points_and_odd_numbers_of_them(any_device: str, count: int) -> None:
+    """Below the ground, where all that ask are hidden; blocks of rays are full, or not."""
+    rng = np.random.default_rng(10)
+    z = surfaces.terrain(rng, 32, 32)
+    points = rng.uniform((1, -30, z.min() - 1), (30, -1, z.max() + 1), (count, 3))
+    points[rng.random(count) < 0.2] = np.nan
+    found = []
+    for pipeline in ("height_field", "brute_force"):
+        tracer = surfaces.tracer(any_device, pipeline)
+        # The origin, which invalid points are put at, is below the ground.
+        tracer.scene.put_surface("ground", HeightField(z - z.min() + 5.0, 1.0, origin=(-10.0, 10.0, 0.0)))
+        found.append(tracer.states_at(points, [sun(20.0, 70.0), sun(50.0, 300.0)]))
+    assert np.array_equal(found[0], found[1]) and set(np.unique(found[0])) == {0, 1, 3}
 
 
 def test_when_nothing_is_swept(any_device: str) -> None:
