@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag that is played in windows gives the bytes of one that is played at once, whatever is in force at a cut."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_journey import DEPTH, FOCAL, INFO, MARKER, MESH, SECOND, corners, log_of
+from bag_maker import BagMaker, cloud, image, info, pose, transform
+from bags_runs import PARAMETERS, play_windows, uncut
+
+from shadow_tracer.apps.bag.survey import Survey
+from shadow_tracer.ros.wire.cdr import encode_mesh
+from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_marker
+
+W, H = 10, 8
+FRAMES = 40
+SHIFT = (0.0, -0.3, 0.0)
+
+
+def _depth(k: int) -> np.ndarray:
+    return np.random.default_rng(k).integers(1900, 2100, (H, W)).astype(np.uint16)
+
+
+def _marker(made: BagMaker, k: int, action: int = 0, lifetime: int = 0, number: int = 0, frame: str = "odom") -> None:
+    points = corners(0.6 - 0.015 * k) + SHIFT + (0.0, 0.1 * number, 0.1)
+    content = points if action == 0 else np.zeros((0, 3))
+    stamp = 100 * SECOND + k * SECOND // 8
+    made.raw("/mesh_marker", MARKER, encode_marker(
+        MarkerMessage(ns="m", id=number, frame=frame, stamp=stamp, action=action, points=content, lifetime=lifetime)
+    ))  # fmt: skip
+
+
+def busy(frames: int = FRAMES) -> BagMaker:
+    """Markers that are added, deleted and run out, a mesh now and then, one that is refused, lights that move,
+    camera_info before, behind and without its image, images that nobody can read, and stamps that start again."""
+    made = BagMaker()
+    made.add("/tf_static", transform("base", "camera", 0, (0.0, 0.125, 0.0)))
+    made.add("/tf", transform("odom", "base", 0, (-0.5, 0.0, 0.0)))
+    made.add("/tf", transform("odom", "base", 200 * SECOND, (0.5, 0.0, 0.0)))
+    for k in range(frames):
+        stamp = 100 * SECOND + (k % 29) * SECOND // 8
+        if k % 7 == 2:
+            made.raw("/mesh", MESH, encode_mesh(corners(0.015 * k) + SHIFT, [(0, 1, 2)]))
+        if k % 11 == 5:
+            made.raw("/mesh", MESH, b"\0\1\0\0nothing")
+        if k % 4 == 1:
+            _marker(made, k, number=k % 3, lifetime=5_000_000 * (k % 3))
+        if k % 9 == 4:
+            _marker(made, k, action=2, number=k % 3)
+        if k % 5 == 3:
+            made.add("/mesh_cloud", cloud(np.float32(corners(0.3 + 0.01 * k) + SHIFT), stamp, "odom"))
+        if k % 6 == 1:
+            made.add("/shadow_tracer/lights/spot/pose", pose(stamp, "camera", (0.01 * k, 0.0, 0.0), (0, -0.6, 0, 0.8)))
+        if k == 17:
+            made.add("/tf_static", transform("base", "camera", 0, (0.0, -0.125, 0.0)))
+        late = k % 8 == 6
+        if k % 10 != 9 and not late:
+            made.add(INFO, info(W, H, stamp, FOCAL / 4 + k % 2))
+        if k % 13 == 8:
+            broken = image(_depth(k), stamp)
+            broken.encoding = "nonsense"
+            made.add(DEPTH, broken)
+        else:
+            made.add(DEPTH, image(_depth(k), stamp))
+        if late:
+            made.add(INFO, info(W, H, stamp, FOCAL / 4 + k % 2))
+    return made
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["auto", "latest"])
+def test_windows_give_the_bytes_of_one_run(tmp_path: Path, policy: str) -> None:
+    bag = busy().write(tmp_path / "bag")
+    parameters = PARAMETERS | {"camera_info_policy": policy}
+    expected = log_of(uncut(bag, tmp_path / "whole.mcap", parameters))
+    masks = [data for topic, _, data in expected if "/mask/lamp" in topic]
+    assert len(masks) == FRAMES - 3 and len({data[-W * H :] for data in masks}) > 20
+    for frames in (FRAMES, 6, 1):
+        found, reports = play_windows(bag, tmp_path / f"by{frames}", parameters, frames)
+        assert len(reports) == -(-FRAMES // frames)
+        assert found == expected
+        assert sum(report.refused.get("mesh", [0])[0] for report in reports) == 4
+        assert sum(report.refused.get("depth", [0])[0] for report in reports) == 3
+        assert sum(report.passes - 1 for report in reports) == 1
+
+
+@pytest.mark.slow
+def test_a_survey_comes_back_from_its_file(tmp_path: Path) -> None:
+    bag = busy(12).write(tmp_path / "bag")
+    play_windows(bag, tmp_path / "out", PARAMETERS, 100)
+    made = Survey.load(tmp_path / "out" / ".plan" / "bag.npz")
+    again = tmp_path / "again.npz"
+    made.save(again)
+    other = Survey.load(again)
+    assert (other.frames == made.frames).all() and other.logged == made.logged and other.meshes == made.meshes
+    for name, rows in made.transforms.rows().items():
+        assert (other.transforms.rows()[name] == rows).all()
