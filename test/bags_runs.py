@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -59,3 +60,11 @@ def perilous(pair: tuple[str, int]) -> str:
     if number == 2 or (number == 1 and first):
         os.kill(os.getpid(), signal.SIGKILL)
     return "" if number == 3 and first else f"done {number}"
+
+
+def marked(pair: tuple[str, int]) -> str:
+    """A job that takes a little while and leaves a file."""
+    folder, number = pair
+    time.sleep(0.1)
+    (Path(folder) / str(number)).write_text("")
+    return "done"
