@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from bag_journey import DEPTH, FOCAL, INFO, MARKER, MESH, SECOND, corners, log_of
 from bag_maker import BagMaker, cloud, image, info, pose, transform
-from bags_runs import PARAMETERS, play_windows, uncut
+from bags_runs import PARAMETERS, WISH, play_windows, uncut
 
 from shadow_tracer.apps.bag.survey import Survey
+from shadow_tracer.apps.bags.jobs import Options
+from shadow_tracer.apps.bags.plan import Cut, make
 from shadow_tracer.ros.wire.cdr import encode_mesh
 from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_marker
 
@@ -98,3 +101,51 @@ def test_a_survey_comes_back_from_its_file(tmp_path: Path) -> None:
     assert (other.frames == made.frames).all() and other.logged == made.logged and other.meshes == made.meshes
     for name, rows in made.transforms.rows().items():
         assert (other.transforms.rows()[name] == rows).all()
+
+
+def _surveyed(made: BagMaker, path: Path, parameters: dict[str, Any] | None = None) -> list[str]:
+    options = Options("/shadow_tracer", [], PARAMETERS | (parameters or {}), WISH, 1)
+    (entry,) = make([made.write(path / "bag")], path / "out", options, Cut(5), None, False).entries
+    assert not entry.error and len(entry.windows) == (1 if entry.notes else 2)
+    return entry.notes
+
+
+def test_what_depends_on_earlier_images_is_not_cut(tmp_path: Path) -> None:
+    def made(frame: str = "odom", stamped: bool = True, moved: bool = False) -> BagMaker:
+        log = BagMaker()
+        log.add("/tf_static", transform("odom", "camera", 0, (0.0, 0.0, 0.0)))
+        if stamped:
+            _marker(log, 0, frame=frame)
+        else:
+            log.raw("/mesh_marker", MARKER, encode_marker(MarkerMessage(frame=frame, points=corners(0.0))))
+        for k in range(10):
+            log.add(INFO, info(W, H, (100 + k) * SECOND, FOCAL / 4))
+            log.add(DEPTH, image(_depth(k), (100 + k) * SECOND))
+        if moved:
+            log.add("/tf_static", transform("odom", "camera", 0, (1.0, 0.0, 0.0)))
+        return log
+
+    cases = [made(), made("camera"), made("odom", False, True), made("camera", False), made("camera", moved=True)]
+    found = [_surveyed(log, tmp_path / str(number)) for number, log in enumerate(cases)]
+    assert found[:3] == [[], [], []]
+    assert "without stamp" in found[3][0] and "static transforms change" in found[4][0]
+    assert "dose.parts" in _surveyed(made(), tmp_path / "dose", {"dose.parts": ["m/0"]})[0]
+
+
+@pytest.mark.slow
+def test_meshes_that_fit_only_together_with_what_has_gone(tmp_path: Path) -> None:
+    log = BagMaker()
+    log.add("/tf_static", transform("odom", "camera", 0, (0.0, 0.0, 0.0)))
+    for k in range(8):
+        # of 64 triangles 40 fit beside the mesh, and 60 do not: the mesh that stays is an earlier one or none
+        count = (40, 60, 60, 10, 62, 1, 64, 30)[k]
+        log.raw("/mesh", MESH, encode_mesh(corners(0.05 * k) + SHIFT, [(0, 1, 2)] * count))
+        points = np.concatenate([corners(0.1 * k) + SHIFT] * (20, 3, 30, 5)[k % 4])
+        log.raw("/mesh_marker", MARKER, encode_marker(MarkerMessage(ns="m", id=k % 3, frame="odom", points=points)))
+        log.add(INFO, info(W, H, (100 + k) * SECOND, FOCAL / 4))
+        log.add(DEPTH, image(_depth(k), (100 + k) * SECOND))
+    bag, parameters = log.write(tmp_path / "bag"), PARAMETERS | {"bounds.max_triangles": 64}
+    expected = log_of(uncut(bag, tmp_path / "whole.mcap", parameters))
+    found, reports = play_windows(bag, tmp_path / "out", parameters, 1)
+    assert found == expected
+    assert sum(count for report in reports for count, _ in report.refused.values()) > 2
