@@ -17,6 +17,7 @@ from shadow_tracer.apps.bags.jobs import Options
 from shadow_tracer.apps.bags.plan import Cut, make
 from shadow_tracer.ros.wire.cdr import encode_mesh
 from shadow_tracer.ros.wire.cdr_markers import MarkerMessage, encode_marker
+from shadow_tracer.ros.wire.grid_map import GRID_MAP, GridMap, encode_grid_map
 
 W, H = 10, 8
 FRAMES = 40
@@ -149,3 +150,24 @@ def test_meshes_that_fit_only_together_with_what_has_gone(tmp_path: Path) -> Non
     found, reports = play_windows(bag, tmp_path / "out", parameters, 1)
     assert found == expected
     assert sum(count for report in reports for count, _ in report.refused.values()) > 2
+
+
+@pytest.mark.slow
+def test_the_ground_is_sent_when_it_would_be(tmp_path: Path) -> None:
+    """Grids come some time after the last one, which may stand in an earlier window."""
+    values = np.zeros((4, 5), np.float32)
+    log = BagMaker()
+    log.add("/tf_static", transform("odom", "camera", 0, (0.0, 0.0, 0.0)))
+    for k in range(12):
+        log.now += 350_000_000
+        values[1, 2] = 0.1 * k
+        if k in (2, 3, 7):
+            ground = GridMap("odom", (100 + k) * SECOND, 0.5, (0.0, 0.0), values)
+            log.raw("/grid_map", GRID_MAP, encode_grid_map(ground, {"elevation": values}))
+        log.add(INFO, info(W, H, (100 + k) * SECOND, FOCAL / 4))
+        log.add(DEPTH, image(_depth(k), (100 + k) * SECOND))
+    bag = log.write(tmp_path / "bag")
+    expected = log_of(uncut(bag, tmp_path / "whole.mcap", PARAMETERS))
+    assert 2 < sum(topic.endswith("shadow_grid") for topic, _, _ in expected) < 10
+    for frames in (1, 5):
+        assert play_windows(bag, tmp_path / f"by{frames}", PARAMETERS, frames)[0] == expected
