@@ -60,6 +60,8 @@ setup(
             "scipy>=1.11",
             "zstandard>=0.22",
         ],
+        # `shadow_tracer bags --engine dask`, on a cluster of Dask.
+        "fleet": ["distributed>=2024.1"],
         # `shadow_tracer terrain`; sunlight() of the library takes ephem and xarray of it.
         "terrain": [
             "ephem>=4.1.5",

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -307,6 +308,31 @@ class DoseMap:
             made.attach(tracer)
         return made
 
+    @classmethod
+    def merge(cls, maps: Sequence[DoseMap]) -> DoseMap:
+        """What several maps of one surface have received together, as of robots that were there one after the other.
+
+        Each sum is the float64 nearest to the exact one, so it does not depend on the order of the maps. There is no
+        last exposure: ``irradiance`` is NaN. The tracer is that of the first map.
+
+        Raises:
+            ValueError: no map, or one of another surface, or cut into other texels; the message says which.
+        """
+        if not maps:
+            raise ValueError("maps: expected at least one map, got none")
+        first = maps[0]
+        for place, each in enumerate(maps[1:], 1):
+            for name in ("_key", "side", "max_edge", "offset"):
+                if getattr(each, name) != getattr(first, name):
+                    what = {"_key": "the mesh"}.get(name, name)
+                    raise ValueError(f"maps: expected all of one surface, but {what} of number {place} is another")
+        made, about = cls.__new__(cls), (first.part, first.max_edge, first.offset, first.side, first._samples)
+        made._set_up(first.tracer, *about, first._texels, first._key)
+        dose, lit = (_summed([getattr(each, name) for each in maps]) for name in ("dose", "seconds_lit"))
+        seconds = math.fsum(each.seconds for each in maps)
+        made._received = _Received(dose, lit, _frozen(np.full(len(first), np.nan)), seconds)
+        return made
+
     def write_csv(self, path: str | Path) -> None:
         """Write a table: a head with units, then a row for each texel, with centre and normal in the frame of the
         part; numbers with all their digits."""
@@ -379,3 +405,9 @@ def _moved(vectors: FloatArray, turn: FloatArray, shift: FloatArray) -> FloatArr
     """(N, 3), each coordinate in the same order of operations as vertices on the device."""
     x, y, z = vectors.T
     return np.stack([((turn[k, 0] * x + turn[k, 1] * y) + turn[k, 2] * z) + shift[k] for k in range(3)], axis=-1)
+
+
+def _summed(arrays: Sequence[FloatArray]) -> FloatArray:
+    """Sums over arrays of one shape (N,), each rounded once."""
+    rows = zip(*(array.tolist() for array in arrays), strict=True)
+    return _frozen(np.array([math.fsum(row) for row in rows], np.float64))

@@ -106,6 +106,8 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
     "ros/node": (*_BELOW_ROS, *_FOR_ALL, *(_ROS_ROOM + room for room in ("wire", "world", "cameras", "parameters"))),
     "apps": ("shadow_tracer.ros", "shadow_tracer.self_test", "shadow_tracer.tracer", _REGISTRY, "shadow_tracer.scene"),
     "apps/bag": ("shadow_tracer.ros", *_BELOW_ROS),
+    "apps/fleet": (),
+    "apps/bags": ("shadow_tracer.apps.bag", "shadow_tracer.apps.fleet", "shadow_tracer.ros", *_BELOW_ROS),
     "apps/terrain": ("shadow_tracer.terrain", "shadow_tracer.scene"),
     "apps/demo": (
         "shadow_tracer.ros",

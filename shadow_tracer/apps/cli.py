@@ -9,6 +9,7 @@ import sys
 # word -> module with main(arguments), and what it does
 COMMANDS = {
     "bag": ("shadow_tracer.apps.bag.bag", "masks for every depth image of a recorded bag"),
+    "bags": ("shadow_tracer.apps.bags.bags", "the same for many bags, by many processes or machines"),
     "terrain": ("shadow_tracer.apps.terrain.terrain", "hours of sun of an elevation model, from a GeoTIFF"),
     "status": ("shadow_tracer.apps.status", "what the running node says of itself, and what helps (needs ROS)"),
     "self-test": ("shadow_tracer.apps.self_test", "does every pipeline give the right bits on this machine?"),

@@ -93,14 +93,7 @@ def perform(chosen: argparse.Namespace) -> int:
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     lights = [light.name for light in settings.lights if light.type != "sun"]
-    wish = Wish(
-        timing=not chosen.no_timing,
-        overlay=chosen.overlay,
-        copy=chosen.copy,
-        visibility=chosen.visibility,
-        irradiance=chosen.irradiance,
-        sun_map=chosen.sun_map,
-    )
+    wish = Wish(**wishes(chosen))
     source = Recording(chosen.bag, names, lights, settings.max_rays)
     with source as recording, Output(chosen.output, chosen.overwrite) as output:
         for line in (*recording.notes, *(f"warning: {text}" for text in recording.warnings)):
@@ -119,6 +112,17 @@ def perform(chosen: argparse.Namespace) -> int:
     # a depth image or a query that was refused is not answered either
     incomplete = bool(result.reasons or {"depth", "query"} & result.refused.keys())
     return UNKNOWN if not result.traced or (chosen.strict and incomplete) else 0
+
+
+def _by_several(chosen: argparse.Namespace) -> int:
+    """The same by several processes. Returns the exit code, 0, 1, 2 or 3."""
+    # Not imported above: the program for many bags is over that for one.
+    bags = importlib.import_module("shadow_tracer.apps.bags.bags")
+
+    if chosen.output.suffix == ".mcap":
+        raise ValueError(f"{chosen.output}: with --jobs OUT is a folder; choose a name without .mcap")
+    more = ["--jobs", str(chosen.jobs), *(["--restart"] if chosen.overwrite else [])]
+    return int(bags.one_bag(chosen, more))
 
 
 def _play(player: Player, recording: Recording) -> Result:
@@ -178,15 +182,8 @@ def _summarise(result: Result, output: Output, player: Player, tracer: ShadowTra
     print(f"{output.path}")
 
 
-def _options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="shadow_tracer bag",
-        description=_DESCRIPTION,
-        epilog=f"{_EXIT_CODES}\n\n{_EXAMPLE}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("bag", type=Path, metavar="IN", help="an mcap, db3 or ROS 1 bag file, or the folder of a bag")
-    parser.add_argument("output", type=Path, metavar="OUT", help="new file *.mcap, or the folder of a new bag")
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Options of the node that the program stands for."""
     parser.add_argument(
         "--params-file",
         type=Path,
@@ -215,6 +212,10 @@ def _options() -> argparse.ArgumentParser:
         metavar="NAME",
         help="full name of the node, for topics and parameter files (default: %(default)s)",
     )
+
+
+def add_wishes(parser: argparse.ArgumentParser) -> None:
+    """Options of what is written."""
     parser.add_argument(
         "--visibility", action="store_true", help="also write ~/visibility/<light>, the part that is seen, 0 to 1"
     )
@@ -229,6 +230,32 @@ def _options() -> argparse.ArgumentParser:
         "--no-timing", action="store_true", help="leave out ~/timing, all that differs between two runs"
     )
     parser.add_argument("--copy", action="store_true", help="also copy everything of IN but topics of these names")
+
+
+def wishes(chosen: argparse.Namespace) -> dict[str, bool]:
+    """What is written, by the names of :class:`Wish`."""
+    names = ("overlay", "copy", "visibility", "irradiance", "sun_map")
+    return {"timing": not chosen.no_timing, **{name: bool(getattr(chosen, name)) for name in names}}
+
+
+def _options() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="shadow_tracer bag",
+        description=_DESCRIPTION,
+        epilog=f"{_EXIT_CODES}\n\n{_EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("bag", type=Path, metavar="IN", help="an mcap, db3 or ROS 1 bag file, or the folder of a bag")
+    parser.add_argument("output", type=Path, metavar="OUT", help="new file *.mcap, or the folder of a new bag")
+    add_parameters(parser)
+    add_wishes(parser)
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        metavar="N",
+        help="N processes; OUT is then the folder of a new split bag, "
+        "and the same command goes on where it was interrupted; see also: shadow_tracer bags",
+    )
     parser.add_argument(
         "--strict", action="store_true", help="exit code 3 if nothing is known of any one depth image or query"
     )
@@ -247,6 +274,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if chosen.output.exists() and chosen.bag.exists() and chosen.output.samefile(chosen.bag):
             raise BagError(f"{chosen.output}: is the bag that is read; choose another name")
+        if chosen.jobs is not None:
+            return _by_several(chosen)
         return perform(chosen)
     except KeyboardInterrupt:
         print("bag: interrupted, nothing was written", file=sys.stderr)

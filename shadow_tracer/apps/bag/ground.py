@@ -44,7 +44,16 @@ class BagGround:
         self._sinks = [_Written(output, names.topic("~/shadow_grid"), "nav_msgs/msg/OccupancyGrid")]
         if sun_map:
             self._sinks.append(_Written(output, names.topic("~/sun_map"), GRID_MAP))
-        self._ground = Ground(frames, meshes, lighting, self._sinks[0], self._sinks[1] if sun_map else None)
+        self._made_of = frames, meshes, lighting, self._sinks[0], self._sinks[1] if sun_map else None
+        self.restart()
+
+    def restart(self) -> None:
+        """Nothing was written yet."""
+        self._ground = Ground(*self._made_of)
+
+    def skip(self, settings: Settings, now_ns: int) -> None:
+        """As :meth:`look` where everything was written elsewhere."""
+        self._ground.skip(settings, now_ns * 1e-9)
 
     def look(self, settings: Settings, tracer: ShadowTracer, camera_frame: str, stamp: int, now_ns: int) -> str:
         """Write what is due at a time of the log [ns]; ``stamp``: of the last image [ns]. Returns what is missing of

@@ -10,8 +10,10 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from heapq import merge
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,8 @@ from shadow_tracer import ShadowTracer
 from shadow_tracer.apps.bag.dose import TOPICS, BagDose
 from shadow_tracer.apps.bag.ground import BagGround
 from shadow_tracer.apps.bag.names import Names
-from shadow_tracer.apps.bag.reader import MESHES, Background, Message, Recording, add_transforms
+from shadow_tracer.apps.bag.reader import MESHES, Background, Message, Recording, add_transforms, header_of
+from shadow_tracer.apps.bag.survey import REPLACING, Survey
 from shadow_tracer.apps.bag.writer import Output
 from shadow_tracer.ros import diagnostics
 from shadow_tracer.ros.cameras.frame_queue import FrameQueue, WaitingFrame
@@ -29,7 +32,7 @@ from shadow_tracer.ros.node.answer import MOST_BITS, Answer, published_mask
 from shadow_tracer.ros.node.processing import Processor
 from shadow_tracer.ros.node.queries import Queries
 from shadow_tracer.ros.settings import Settings
-from shadow_tracer.ros.wire.messages import MessageError, decode_depth, pose_matrix, stamp_ns
+from shadow_tracer.ros.wire.messages import MessageError, decode_depth, pose_matrix
 from shadow_tracer.ros.world.frames import Frames
 from shadow_tracer.ros.world.lighting import Lighting, LightPose
 from shadow_tracer.ros.world.mesh_sources import MeshSources
@@ -127,6 +130,9 @@ class Player:
         self._last_stamp = 0
         self._info_stamps = sorted(background.infos)
         self._next_info = 0
+        self._start: int | None = None
+        self._before: dict[str, int] = {}  # refused meshes, by topic
+        self._received_before = 0
         self._mine = {names.topic(f"~/{name}") for name in ("mask", "light_bits", "camera_info", "timing")}
         self._mine |= {names.topic(f"~/{name}") for name in ("overlay", "irradiance")}
         self._mine |= {names.topic(topic) for topic in ("~/query/visibility", "~/shadow_grid", "~/sun_map", *TOPICS)}
@@ -137,11 +143,17 @@ class Player:
         if self.meshes.files:
             raise ValueError(self.meshes.files)
 
-    def play(self, progress: Callable[[], None]) -> Result:
-        """Go through the bag; ``progress`` is called after each depth image. Raises BagError."""
+    @property
+    def received(self) -> int:
+        """Mesh messages since the beginning, or since what was sought."""
+        return self.meshes.received - self._received_before
+
+    def play(self, progress: Callable[[], None], stop: int | None = None) -> Result:
+        """Go through the bag, from where :meth:`seek` went or its beginning, to before ``stop`` [ns] or its end;
+        ``progress`` is called after each depth image. Raises BagError."""
         lights = [f"light {light.name}" for light in self._settings.lights]
         inputs = ["depth", "info", "query", "tf_static", *MESHES, *lights]
-        for message in self._recording.messages(None if self._wish.copy else inputs):
+        for message in self._recording.messages(None if self._wish.copy else inputs, self._start, stop):
             try:
                 if self._wish.copy and message.topic not in self._mine:
                     self._copy(message)
@@ -155,6 +167,56 @@ class Player:
         self._sum_up()
         return self.result
 
+    def seek(self, survey: Survey, start: int) -> None:
+        """Bring everything to where it is when all messages before ``start`` [ns] have been played, of a bag that
+        :attr:`Survey.whole` allows to be cut. Images before it are neither traced nor written, and nothing before it
+        is counted. To be called once, before :meth:`play`. Raises BagError."""
+        self._start = start
+        frames = survey.frames_before(start)
+        for _, stamp, frame in frames:
+            self._arrive(stamp, frame)
+            self._queue.note_image(stamp)
+        self._processor.skip(len(frames))
+        if self._settings.camera_info_policy == "latest" and (info := survey.info_before(start)) is not None:
+            self._queue.put_info(info)
+        for name, pose in survey.lights_before(start).items():
+            self._lighting.move(name, pose)
+        for transforms in survey.static_before(start):
+            add_transforms(self._background, transforms, True)
+        self._background.refused.clear()
+        self._seek_meshes(survey, start, [time for time, _, _ in frames])
+        self.result.passes = 1
+        self._before = {name: source.refused.count for name, source in self.meshes.sources.items()}
+        self._received_before = self.meshes.received
+
+    def _seek_meshes(self, survey: Survey, start: int, frames: list[int]) -> None:
+        """Of topics whose messages replace each other the last will do, unless one was refused or might have been."""
+        last = [self._recording.messages(("mesh_markers", "mesh_marker", "grid_map"), None, start)]
+        for name in REPLACING:
+            if (time := survey.last_mesh(name, start)) is not None:
+                last.append(self._recording.messages((name,), time, start))
+        most = self._receive_all(merge(*last, key=lambda message: message.time), frames)
+        if self.meshes.refused or most + survey.largest_replacing > self._settings.max_triangles:
+            self.meshes.clear(0)
+            self._ground.restart()
+            self._receive_all(self._recording.messages(MESHES, None, start), frames)
+
+    def _receive_all(self, messages: Iterable[Message], frames: list[int]) -> int:
+        """Take meshes at the times of the log, with images in between. Returns the most triangles there were."""
+        most = waiting = 0
+        for message in messages:
+            while waiting < len(frames) and frames[waiting] <= message.time:
+                self._ground.skip(self._settings, frames[waiting])
+                waiting += 1
+            with suppress(MessageError):  # it was counted when it was played
+                self._mesh(message)
+                if message.name == "grid_map":
+                    self._ground.skip(self._settings, message.time)
+            most = max(most, self.meshes.store.triangle_count)
+        for time_ns in frames[waiting:]:
+            self._ground.skip(self._settings, time_ns)
+        return most
+
     def _copy(self, message: Message) -> None:
         data, types = self._recording.copier(message)
         qos = getattr(message.connection.ext, "offered_qos_profiles", [])  # ROS 1 has none
@@ -162,16 +224,16 @@ class Player:
 
     def _take(self, message: Message) -> None:
         name = message.name
+        if name == "depth":
+            self._depth(message)
+            return
         if name in MESHES:
-            content = self._recording.decode(message) if name == "mesh_cloud" else message.data
-            self.meshes.receive(name, content, _NOW, message.time)
+            self._mesh(message)
             if name == "grid_map":
                 self._look_at_ground(message.time)
             return
         content = self._recording.decode(message)
-        if name == "depth":
-            self._depth(content, message.topic, message.time)
-        elif name == "info":
+        if name == "info":
             if self._settings.camera_info_policy == "latest":
                 self._queue.put_info(content)
         elif name == "tf_static":
@@ -182,19 +244,43 @@ class Player:
             pose = LightPose(content.header.frame_id, pose_matrix(content.pose, "pose"))
             self._lighting.move(name.removeprefix("light "), pose)
 
-    def _depth(self, image: Any, topic: str, now_ns: int) -> None:
-        start = time.perf_counter()
-        depth, stamp = decode_depth(image, self._settings.depth_unit), stamp_ns(image.header.stamp)
-        decoding = (time.perf_counter() - start) * 1e3
+    def _mesh(self, message: Message) -> None:
+        # What is over makes room first, so that whether a mesh fits does not depend on which images came in between.
+        self.meshes.store.expire(message.time)
+        content = self._recording.decode(message) if message.name == "mesh_cloud" else message.data
+        self.meshes.receive(message.name, content, _NOW, message.time)
+
+    def _depth(self, message: Message) -> None:
+        try:
+            stamp, frame = header_of(message.data)
+        except MessageError:
+            self._recording.decode(message)  # which says what it is not
+            raise
+        self._arrive(stamp, frame)
+        try:
+            self._answer(message, stamp)
+        except MessageError:
+            self._queue.note_image(stamp)  # it came, and so counts for the camera_info of others
+            self._look_at_ground(message.time)
+            raise
+
+    def _arrive(self, stamp: int, frame: str) -> None:
+        """An image has come, whether or not it is of any use."""
         if stamp < self._last_stamp - _BACKWARD_STAMPS:
             self.result.passes += 1
             self._next_info = 0
             if self._settings.camera_info_policy != "latest":
                 self._queue.clear()
         self._last_stamp = stamp
-        self._camera_frame = self._settings.camera_frame or image.header.frame_id
+        self._camera_frame = self._settings.camera_frame or frame
         if self._settings.camera_info_policy != "latest":
             self._offer_infos(stamp)
+
+    def _answer(self, message: Message, stamp: int) -> None:
+        start, now_ns, topic = time.perf_counter(), message.time, message.topic
+        image = self._recording.decode(message)
+        depth = decode_depth(image, self._settings.depth_unit)
+        decoding = (time.perf_counter() - start) * 1e3
         self._queue.put(WaitingFrame(image, depth, stamp, _NOW, decoding, topic=topic))
         answer = self._processor.step(self._settings, self._tracer, _NOW, now_ns, patient=False)
         if answer is None:
@@ -287,7 +373,7 @@ class Player:
         for name, errors in self._background.refused.items():
             result.refuse(name, errors[-1], len(errors))
         for name, source in self.meshes.sources.items():
-            if source.refused.count:
-                result.refuse(name, source.refused.text, source.refused.count)
+            if count := source.refused.count - self._before.get(name, 0):
+                result.refuse(name, source.refused.text, count)
         if self._queries.refused.count:
             result.refuse("query", self._queries.refused.text, self._queries.refused.count)

@@ -7,6 +7,7 @@ Topics are known by the short names of :data:`INPUTS`; those of lights are ``lig
 from __future__ import annotations
 
 import shlex
+import struct
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -136,14 +137,17 @@ class Recording:
         """Messages of these inputs."""
         return sum(connection.msgcount for connection in self.connections if self._name(connection) in names)
 
-    def messages(self, names: Iterable[str] | None) -> Iterator[Message]:
-        """Messages of these inputs in the order of the log; None: of all topics. Raises BagError."""
+    def messages(
+        self, names: Iterable[str] | None, start: int | None = None, stop: int | None = None
+    ) -> Iterator[Message]:
+        """Messages of these inputs in the order of the log; None: of all topics. Only those at or after ``start`` and
+        before ``stop`` [ns], None being no limit. Raises BagError."""
         wanted = None if names is None else set(names)
         chosen = []
         for number, reader in enumerate(self._readers):
             connections = [c for c in reader.connections if wanted is None or self._name(c) in wanted]
             if connections:  # for none rosbags would give all
-                chosen.append(self._messages_of(number, connections))
+                chosen.append(self._messages_of(number, connections, start, stop))
         return merge(*chosen, key=lambda message: message.time)
 
     def decode(self, message: Message) -> Any:
@@ -175,14 +179,16 @@ class Recording:
         for connection in reader.connections:
             self._types[id(connection.owner)] = types
 
-    def _messages_of(self, number: int, connections: list[Any]) -> Iterator[Message]:
+    def _messages_of(
+        self, number: int, connections: list[Any], start: int | None, stop: int | None
+    ) -> Iterator[Message]:
         known = {}
         for connection in connections:
             types, kind = self._types[id(connection.owner)], connection.msgtype
             convert = types.converter(kind) or types.copier(kind)[0]
             known[connection.id] = (self._name(connection), _full(connection), usual_name(kind), convert)
         try:
-            for connection, time, data in self._readers[number].messages(connections):
+            for connection, time, data in self._readers[number].messages(connections, start, stop):
                 name, topic, kind, convert = known[connection.id]
                 yield Message(name, topic, time, kind, data, convert, connection)
         except Exception as error:  # of the library, which trusts what it reads
@@ -272,29 +278,65 @@ class Background:
         self.refused.setdefault(name, []).append(str(error))
 
 
+BACKGROUND = ("tf", "tf_static", "pose", "info")
+
+
+class BackgroundReader:
+    """Takes the messages of :data:`BACKGROUND` in the order of the log; of two with one stamp the last counts.
+
+    Attributes:
+        found: what they say, whole after :meth:`finish`.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.found = Background()
+        self._fixed_frame = settings.fixed_frame
+        self._static: dict[str, Any] = {}
+
+    def take(self, name: str, content: Any) -> None:
+        """Take a message of an input. Raises MessageError."""
+        found = self.found
+        if name == "info":
+            found.first_info = content if found.first_info is None else found.first_info
+            found.infos[stamp_ns(content.header.stamp)] = content
+        elif name == "pose":
+            found.poses.add(*camera_pose(content, self._fixed_frame))
+        elif name == "tf":
+            add_transforms(found, content, False)
+        else:
+            for transform in content.transforms:
+                self._static.setdefault(transform.child_frame_id, transform)
+
+    def finish(self) -> Background:
+        """All of it, when the last message is taken."""
+        for transform in self._static.values():
+            with suppress(MessageError):  # counted when the log comes to it
+                _add(self.found.tree, transform, True)
+        return self.found
+
+
 def read_background(recording: Recording, settings: Settings) -> Background:
-    """Read transforms, poses of the camera and camera_info; of two with one stamp the last counts."""
-    found = Background()
-    static: dict[str, Any] = {}
-    for message in recording.messages(("tf", "tf_static", "pose", "info")):
+    """Read transforms, poses of the camera and camera_info."""
+    reader = BackgroundReader(settings)
+    for message in recording.messages(BACKGROUND):
         try:
-            content = recording.decode(message)
-            if message.name == "info":
-                found.first_info = content if found.first_info is None else found.first_info
-                found.infos[stamp_ns(content.header.stamp)] = content
-            elif message.name == "pose":
-                found.poses.add(*camera_pose(content, settings.fixed_frame))
-            elif message.name == "tf":
-                add_transforms(found, content, False)
-            else:
-                for transform in content.transforms:
-                    static.setdefault(transform.child_frame_id, transform)
+            reader.take(message.name, recording.decode(message))
         except MessageError as error:
-            found.refuse(message.name, error)
-    for transform in static.values():
-        with suppress(MessageError):  # counted when the log comes to it
-            _add(found.tree, transform, True)
-    return found
+            reader.found.refuse(message.name, error)
+    return reader.finish()
+
+
+def header_of(data: bytes) -> tuple[int, str]:
+    """Stamp [ns] and frame of a message that begins with a header, from plain CDR. Raises MessageError."""
+    order = ">" if data[1:2] == b"\0" else "<"
+    try:
+        seconds, nanoseconds, size = struct.unpack_from(f"{order}iII", data, 4)
+        name = data[16 : 16 + size].decode() if size else ""
+    except (struct.error, UnicodeDecodeError) as error:
+        raise MessageError(f"header: cannot be read: {error}") from error
+    if len(data) < 16 + size:
+        raise MessageError("header: the message ends within it")
+    return seconds * 1_000_000_000 + nanoseconds, name.rstrip("\0")
 
 
 def add_transforms(background: Background, message: Any, static: bool) -> None:

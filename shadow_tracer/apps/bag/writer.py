@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import secrets
 import shutil
 from collections import Counter
 from collections.abc import Mapping
@@ -45,9 +47,10 @@ class Output:
         if path.exists() and not overwrite:
             raise BagError(f"{path}: exists already; choose another name, or give --overwrite")
         self._types = USUAL
-        self._folder = path.parent / f".{path.name}.{os.getpid()}.part"
+        self._folder = path.parent / f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
         self._bag = self._folder / path.stem
         self._connections: dict[str, Any] = {}
+        self._digest = hashlib.sha256()
         try:
             self._folder.mkdir(parents=True)
             self._writer = Writer(self._bag, version=9, storage_plugin=StoragePlugin.MCAP)
@@ -142,6 +145,15 @@ class Output:
         """
         self._put(topic, time, kind, data, typestore=typestore, offered_qos_profiles=qos)
 
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of topics, times and bytes of all messages so far but those of :data:`TIMING`, in order."""
+        return self._digest.hexdigest()
+
+    def note(self, name: str, text: str) -> None:
+        """Put a text beside the messages, into the custom data of the bag."""
+        self._writer.set_custom_data(name, text)
+
     def _header(self, header: Any) -> Any:
         types = self._types.types
         stamp = types["builtin_interfaces/msg/Time"](sec=header.stamp.sec, nanosec=header.stamp.nanosec)
@@ -159,6 +171,9 @@ class Output:
         except (OSError, WriterError, TypesysError, KeyError) as error:
             raise BagError(f"{self.path}: {topic} cannot be written: {error}") from error
         self.counts[topic] += 1
+        if kind != TIMING:
+            self._digest.update(f"{topic} {time} {len(data)} ".encode())
+            self._digest.update(data)
 
     def _keep(self) -> None:
         made = self._bag / f"{self._bag.name}.mcap" if self.path.suffix == ".mcap" else self._bag
@@ -166,6 +181,9 @@ class Output:
             shutil.rmtree(self.path)
         elif self.path.exists() and made.is_dir():
             self.path.unlink()
+        if made.is_file():
+            with made.open("rb") as file:
+                os.fsync(file.fileno())  # a name is not to outlive the contents when the power fails
         os.replace(made, self.path)
 
     def _discard(self) -> None:

@@ -103,6 +103,10 @@ class FrameQueue:
         self._frames.clear()
         self._infos.clear()
 
+    def note_image(self, stamp: int) -> None:
+        """An image with this stamp [ns] has arrived that is not to wait here."""
+        self._infos.note_image(stamp)
+
     def put_info(self, info: CameraInfo) -> None:
         """Remember a camera_info, the last of each stamp."""
         self._infos.put(info, 4 * self.capacity)

@@ -144,6 +144,18 @@ class Ground:
             self._hours = self._begin(settings, tracer, seen)
         return self._count(settings)
 
+    def skip(self, settings: Settings, now: float) -> None:
+        """A turn of :meth:`step` that was taken elsewhere, with all its work: only when what was sent is noted."""
+        if not isinstance(self._meshes.parts.get(KEY), GridPart):
+            return
+        wants_map = self._map.now(now, settings.sun_map_period)
+        if not (wants_map or self._grid.now(now, settings.grid_map_period)):
+            return
+        if self._grid.listened():
+            self._grid.begun(now)
+        if wants_map:
+            self._map.begun(now)
+
     def _look(
         self, settings: Settings, tracer: ShadowTracer, part: GridPart, camera_frame: str, when: int, last_chance: bool,
         now_ns: int,

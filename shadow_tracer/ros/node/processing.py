@@ -69,6 +69,10 @@ class Processor:
         self._lighting = lighting
         self._traced = 0
 
+    def skip(self, count: int) -> None:
+        """So many images were traced elsewhere: ``verify_every`` counts them too."""
+        self._traced += count
+
     def step(
         self, settings: Settings, tracer: ShadowTracer, now: float, now_ns: int, patient: bool = True
     ) -> Answer | None:

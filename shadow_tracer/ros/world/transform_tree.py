@@ -7,9 +7,12 @@ It answers as tf2 does, interpolation and refusals included; only products of ro
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from shadow_tracer.ros.diagnostics import TRANSFORMS, Missing
 from shadow_tracer.ros.settings import FloatArray
@@ -84,6 +87,46 @@ class TransformTree:
         else:
             edge.static = None  # as in tf2, what came last says what the frame is
             edge.known[stamp] = (parent, tuple(translation), tuple(quaternion))
+
+    def copy(self) -> TransformTree:
+        """Another one with the same transforms. To add static ones to it leaves this one as it is."""
+        other = TransformTree()
+        other._names = set(self._names)
+        other._edges = {child: replace(edge) for child, edge in self._edges.items()}
+        return other
+
+    def rows(self) -> dict[str, npt.NDArray[Any]]:
+        """Everything in arrays, which :meth:`of_rows` takes: names, static transforms, and those with a stamp."""
+        names = list(self.frames)
+        number = {name: place for place, name in enumerate(names)}
+        moving, still = [], []
+        values, matrices = [], []
+        for child, edge in self._edges.items():
+            for stamp, (parent, position, quaternion) in edge.known.items():
+                moving.append((number[child], number[parent], stamp))
+                values.append((*position, *quaternion))
+            if edge.static is not None:
+                still.append((number[child], number[edge.static[0]]))
+                matrices.append(edge.static[1])
+        return {
+            "names": np.array(names, np.str_),
+            "moving": np.array(moving, np.int64).reshape(-1, 3),
+            "values": np.array(values, np.float64).reshape(-1, 7),
+            "still": np.array(still, np.int64).reshape(-1, 2),
+            "matrices": np.array(matrices, np.float64).reshape(-1, 4, 4),
+        }
+
+    @staticmethod
+    def of_rows(rows: Mapping[str, npt.NDArray[Any]]) -> TransformTree:
+        """The tree whose :meth:`rows` these are."""
+        made, names = TransformTree(), [str(name) for name in rows["names"]]
+        made._names = set(names)
+        for (child, parent, stamp), numbers in zip(rows["moving"].tolist(), rows["values"].tolist(), strict=True):
+            edge = made._edges.setdefault(names[child], _Edge())
+            edge.known[stamp] = (names[parent], tuple(numbers[:3]), tuple(numbers[3:]))
+        for (child, parent), matrix in zip(rows["still"].tolist(), rows["matrices"], strict=True):
+            made._edges.setdefault(names[child], _Edge()).static = (names[parent], matrix)
+        return made
 
     def lookup(self, target: str, source: str, stamp: int, purpose: str) -> FloatArray:
         """(4, 4) transform from ``source`` to ``target`` at a stamp [ns]. Raises Missing; no waiting helps."""

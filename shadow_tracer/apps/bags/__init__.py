@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masks for many recordings, by many processes or machines."""
