@@ -52,6 +52,11 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "steep_before_the_sun",
         [(_FILTER, "plane.value - w * off", "plane.value - off")],
     ),
+    "fronts that cast": (
+        _OTHER,
+        "sequences",
+        [(_MASK, "asked.cull == 0 ? hidden & ~sure : hidden", "hidden & ~sure")],
+    ),
     "meshes that the light ignores": (
         _OTHER,
         "pilot_decides",
