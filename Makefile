@@ -5,8 +5,8 @@ PY := $(VENV)/bin/python
 PROJECT_FILES := pyproject.toml setup.py setup.cfg
 
 EXTRAS_demo := ros,mesh,demo
-EXTRAS_test := ros,mesh,sun,bag,terrain,demo,benchmark,dose,photometry,test
-EXTRAS_dev := ros,mesh,sun,bag,terrain,demo,benchmark,dose,photometry,test,dev
+EXTRAS_test := ros,mesh,sun,bag,fleet,terrain,demo,benchmark,dose,photometry,test
+EXTRAS_dev := ros,mesh,sun,bag,fleet,terrain,demo,benchmark,dose,photometry,test,dev
 EXTRAS_benchmark := ros,mesh,demo,benchmark,dose
 
 # A ROS 2 that is sourced in this shell, or the ROS wheels of another environment, must not mix with the wheels in .venv.
