@@ -49,7 +49,7 @@ def _dome(centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     return centre + radius * places.reshape(-1, 3), triangles
 
 
-class _Peer:
+class Peer:
     """Rays from biased samples to all points of a light, some samples at a time: one thread."""
 
     def __init__(self, name: str, vertices: np.ndarray, triangles: np.ndarray) -> None:
@@ -67,7 +67,7 @@ class _Peer:
             self._scene.add_triangles(vertices.astype(np.float32), triangles.astype(np.uint32))
             self._tensor = open3d.core.Tensor
 
-    def _ask(self, starts: np.ndarray, ways: np.ndarray) -> tuple[float, np.ndarray]:
+    def hidden(self, starts: np.ndarray, ways: np.ndarray) -> tuple[float, np.ndarray]:
         """Of rays to the ends of their ways: milliseconds, and which are hidden."""
         if self.name == "Embree":
             far = np.ones(len(starts), np.float32)
@@ -86,7 +86,7 @@ class _Peer:
             ways = points[None] - some[:, None]
             starts = some[:, None] + ways * (bias / np.linalg.norm(ways, axis=2, keepdims=True))
             ends = (points[None] - starts).astype(np.float32).reshape(-1, 3)
-            spent, hidden = self._ask(starts.astype(np.float32).reshape(-1, 3), ends)
+            spent, hidden = self.hidden(starts.astype(np.float32).reshape(-1, 3), ends)
             total += spent
             reach = ~hidden.reshape(len(some), -1)
             powers = np.left_shift(np.uint64(1), np.arange(reach.shape[1], dtype=np.uint64))
@@ -101,11 +101,12 @@ def _light(kind: str, view: View, radius: float) -> AreaLight:
     return RectangleLight("light", at, (radius, 0.0, 0.0), (0.0, 0.0, radius), two_sided=True)
 
 
-def _peers(vertices: np.ndarray, triangles: np.ndarray) -> list[_Peer]:
+def installed(vertices: np.ndarray, triangles: np.ndarray) -> list[Peer]:
+    """Peers that are, with a scene."""
     found = []
     for name in ("Embree", "Open3D"):
         try:
-            found.append(_Peer(name, vertices, triangles))
+            found.append(Peer(name, vertices, triangles))
         except ImportError:
             print(f"{name} is not installed")
     return found
@@ -126,7 +127,7 @@ def measure(view: View, kind: str, percent: float, turns: int) -> dict[str, Any]
     tracers = {name: ShadowTracer(*name.split("/"), device="cpu", bounds=bounds, threads=1) for name in _OURS}
     for tracer in tracers.values():
         tracer.scene.put("mesh", vertices, triangles)
-    peers = _peers(vertices, triangles)
+    peers = installed(vertices, triangles)
     hard = PointLight("light", view.light.position)
     spent: dict[str, list[float]] = {name: [] for name in (*_OURS, *(peer.name for peer in peers), "hard")}
     row: dict[str, Any] = {"view": view.name, "light": f"{kind}, {percent:g} %", "samples": len(rays.points)}

@@ -2,7 +2,7 @@
 """Cones beside rays: answers that are wrong, of which there must be none, and what they take.
 
     python benchmark/cones.py --cones 1000000       # random cones in real scenes against 64 rays each
-    python benchmark/cones.py --time                # cones from a view's pixels beside 64 rays of Embree's
+    python benchmark/cones.py --time                # cones from a view's pixels beside 16 and 64 rays of the peers'
     python benchmark/cones.py --kd-tree             # random cones through bvh/sah and kd_tree
 
 A FREE cone is wrong if one of 64 rays is hidden, or if a vertex of the scene, or a point of an edge, is inside of it; a
@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from area_lights import installed
 from case import FrameRays, shots
 from report import header, table, write_json
 from rivals import missing
@@ -161,48 +162,42 @@ def through_both(cones: int, seed: int, turns: int) -> list[dict[str, Any]]:
 
 def measure(size: int, shares: tuple[float, ...], turns: int) -> list[dict[str, Any]]:
     """Cones from every fourth pixel's place, both ways, to a ball of so many parts of the view's diagonal around the
-    light, and 64 rays of Embree's into each."""
-    from embreex import rtcore_scene
-    from embreex.mesh_construction import TriangleMesh
-
+    light, and 16 and 64 rays of the peers' into each."""
     rows = []
     for view in views(size, list(_SCENES)):
         scene, light = _Scene(view), np.asarray(view.light.position)
         apices = FrameRays(shots(view, 1)[0], [view.light], view.bias).points[::4]
         apices = apices + view.bias * (light - apices) / np.linalg.norm(light - apices, axis=1)[:, None]
         diagonal = np.linalg.norm(apices.max(axis=0) - apices.min(axis=0))
-        embree = rtcore_scene.EmbreeScene()
-        TriangleMesh(embree, view.positions[0].astype(np.float32), view.triangles)
+        peers = installed(view.positions[0], view.triangles)
+        for peer in peers:  # which build their trees for the first ray
+            peer.hidden(apices[:1].astype(np.float32), np.ones((1, 3), np.float32))
         for share in shares:
             radii = np.full(len(apices), share * diagonal)
             ends = np.broadcast_to(light, apices.shape)
             far = np.linalg.norm(ends - apices, axis=1) > 2.0 * radii
             some, ends, radii = apices[far], ends[far], radii[far]
-            ways = (ends_of_rays(some, ends, radii) - some[:, None]).reshape(-1, 3).astype(np.float32)
-            starts = np.repeat(some, _RAYS, axis=0).astype(np.float32)
-
-            def rays(embree: Any = embree, starts: Any = starts, ways: Any = ways) -> Any:
-                # embreex shortens the lengths in place of returning distances.
-                return embree.run(starts, ways, dists=np.ones(len(ways), np.float32), query="OCCLUDED")
-
             scene.tracer.cones(some[:1], ends[:1], radii[:1])
             ours, outcomes = _least(lambda: scene.tracer.cones(some, ends, radii), turns)  # noqa: B023
             budget, few = _least(lambda: scene.tracer.cones(some, ends, radii, budget=200), turns)  # noqa: B023
-            theirs, _ = _least(rays, turns)
             count = len(some) / 1e6
-            rows.append(
-                {
-                    "scene": view.name,
-                    "radius": share,
-                    "cones": len(some),
-                    "us": round(ours / count, 2),
-                    "us, budget 200": round(budget / count, 2),
-                    "us, 64 rays of Embree": round(theirs / count, 2),
-                    "times": round(theirs / ours, 1),
-                    **_shares(np.bincount(outcomes, minlength=3)),
-                    "PARTLY, budget 200": round(float((few == Outcome.PARTLY).mean()), 4),
-                }
-            )
+            row: dict[str, Any] = {
+                "scene": view.name,
+                "radius": share,
+                "cones": len(some),
+                "us": round(ours / count, 2),
+            }
+            row["us, budget 200"] = round(budget / count, 2)
+            for rays in (16, _RAYS):
+                ways = (ends_of_rays(some, ends, radii, rays) - some[:, None]).reshape(-1, 3).astype(np.float32)
+                starts = np.repeat(some, rays, axis=0).astype(np.float32)
+                for peer in peers:
+                    spent = float(np.median([peer.hidden(starts, ways)[0] for _ in range(turns)])) / 1e3
+                    row[f"us, {rays} rays of {peer.name}"] = round(spent / count, 2)
+            best = min(row[f"us, {_RAYS} rays of {peer.name}"] for peer in peers)
+            row["times"] = round(best * count / ours, 1)
+            row |= _shares(np.bincount(outcomes, minlength=3))
+            rows.append(row | {"PARTLY, budget 200": round(float((few == Outcome.PARTLY).mean()), 4)})
     return rows
 
 
