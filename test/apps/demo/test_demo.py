@@ -347,7 +347,7 @@ def test_interrupted_demo_leaves_nothing_behind(tmp_path: Path, child_environmen
         "shadow_tracer.apps.demo.demo",
         "--node",
         "--frames",
-        "200",
+        "2000",
         "--size",
         "96x72",
         "--output",
