@@ -4,7 +4,6 @@ variant there is, on some in both forms of kernels."""
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 import zlib
@@ -171,12 +170,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         (kept if mine else left_out).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept
-
-
-def pytest_collection_finish() -> None:
-    """Twenty thousand cases are many objects: each full collection of garbage would go through all of them again."""
-    gc.collect()
-    gc.freeze()
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -284,8 +284,7 @@ def one_bag(chosen: argparse.Namespace, more: Sequence[str]) -> int:
     add_cut(parser)
     usual = parser.parse_args(list(more), argparse.Namespace(log_json=False))
     both = argparse.Namespace(**{**vars(usual), **vars(chosen)})
-    code = guarded(lambda: everything(both, [chosen.bag], one=True))
-    return code
+    return guarded(lambda: everything(both, [chosen.bag], one=True))
 
 
 def guarded(act: Any) -> int:

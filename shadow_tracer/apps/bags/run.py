@@ -89,7 +89,7 @@ def run(plan: Plan, engine: Engine, log: Log, keep_going: bool, shard: tuple[int
     Args:
         plan: what is to be done.
         engine: who does it.
-        log: where it is told.
+        log: where events are written.
         keep_going: after a failure do the rest as well.
         shard: (number from 0, count): only each count-th job.
 
