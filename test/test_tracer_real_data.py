@@ -196,7 +196,7 @@ def test_robots_in_motion(tracer: Any) -> None:
     assert tracer.scene["robots"].topology_revision == topology
 
 
-@pytest.mark.parametrize("name", ["sponza_dabrovic", "bart_robots_t10"])
+@pytest.mark.parametrize("name", ["sponza_dabrovic", pytest.param("bart_robots_t10", marks=pytest.mark.slow)])
 def test_pipelines_equal_brute_force_on_real_meshes(tracer: Any, tracers: Any, kernel_form: str, name: str) -> None:
     reference = "filtered"
     if (tracer.pipeline, tracer.variant) == ("brute_force", reference):

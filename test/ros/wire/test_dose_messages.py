@@ -41,7 +41,8 @@ def check(seen: Seen, shown: dict[str, DoseMap], frame: str = "map") -> None:
         markers = [marker for (ns, _), marker in sorted(seen.items()) if ns == f"dose/{part}"]
         pose = dose_map.pose()
         corners = dose_map.corners.reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
-        assert np.concatenate([marker.points for marker in markers]) == pytest.approx(corners, abs=1e-12)
+        points = np.concatenate([marker.points for marker in markers])
+        np.testing.assert_allclose(points, corners, rtol=0.0, atol=1e-12)
         colors = np.concatenate([marker.colors for marker in markers])[::3, :3]
         assert np.array_equal(np.rint(255.0 * colors), colors_of(dose_map.dose, TARGET))
         assert {marker.frame for marker in markers} == {frame}
