@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
+import few_cases
 import last_bits
 import orders
 import probe
@@ -43,6 +44,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
     group = parser.getgroup("inner loop", "what make quick leaves out")
     group.addoption("--default-variants", action="store_true", help="of each pipeline its default variant alone")
+    group.addoption("--few-cases", type=int, metavar="N", help="of each function N of its cases at most; 0: all")
     group.addoption("--find-slow", action="store_true", help="name cases that want the mark slow")
 
 
@@ -60,6 +62,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("--last-bits") is not None:
         last_bits.install(config.getoption("--last-bits"))
         how.append(f"last bits: other ones, seed {config.getoption('--last-bits')}")
+    if config.getoption("--few-cases"):
+        config.pluginmanager.register(few_cases.Few(config.getoption("--few-cases")), "few cases")
     if config.getoption("--find-slow"):
         config.pluginmanager.register(slow_cases.Meter(config), "slow cases")
     config.stash[_HOW_IT_RAN] = how
