@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,10 @@ class LightRays:
     ways: np.ndarray
     reach: np.ndarray
 
+    def of(self, chosen: np.ndarray) -> LightRays:
+        """Some of them, in the order of ``chosen``."""
+        return LightRays(self.starts[chosen], self.ways[chosen], self.reach[chosen])
+
 
 class FrameRays:
     """The rays of a depth image, made before any clock starts.
@@ -46,6 +51,13 @@ class FrameRays:
         self.valid = (np.isfinite(metres) & (metres > 0.0)).ravel()
         self.points = shot.camera.unproject(metres).reshape(-1, 3)[self.valid]
         self.lights = [_rays(self.points, light, bias) for light in lights]
+
+    def of(self, chosen: np.ndarray) -> FrameRays:
+        """Some of the samples, in the order of ``chosen``; the image is as it was."""
+        some = copy.copy(self)
+        some.points = self.points[chosen]
+        some.lights = [rays.of(chosen) for rays in self.lights]
+        return some
 
 
 def _rays(points: np.ndarray, light: Light, bias: float) -> LightRays:
@@ -106,6 +118,17 @@ class Case:
         return Bounds(
             max_triangles=len(self.view.triangles), max_rays=rays or pixels, max_lights=max(len(self.lights), 1)
         )
+
+    def drawn(self, count: int) -> Case:
+        """The case of ``count`` samples of each frame, or all, in random order: for ``occluded``, not for images."""
+        some = copy.copy(self)
+        chosen = [
+            np.random.default_rng(k).permutation(len(frame.points))[:count] for k, frame in enumerate(self.frames)
+        ]
+        some.frames = [frame.of(order) for frame, order in zip(self.frames, chosen, strict=True)]
+        some.static = [answers[:, order] for answers, order in zip(self.static, chosen, strict=True)]
+        some.dynamic = [answers[:, order] for answers, order in zip(self.dynamic, chosen, strict=True)]
+        return some
 
     @property
     def rays(self) -> int:

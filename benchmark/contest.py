@@ -123,8 +123,9 @@ def _rounds(case: Case, contestants: Sequence[Contestant], motion: str, effort: 
             lost = stolen() - lost
             _judge(case, contestant, timing, frame, found, right)
             timing.spent += seconds
-            # A warm-up frame that uses up the time is the measurement.
-            if turn >= _WARM_UP or timing.spent > effort.seconds:
+            # A warm-up frame that uses up the time is the measurement; the first only if it is far beyond.
+            enough = effort.seconds if turn else _PATIENCE * effort.seconds
+            if turn >= _WARM_UP or timing.spent > enough:
                 (timing.disturbed if lost > _LOST * seconds else timing.calm).append(1e3 * seconds)
     return timings
 

@@ -106,6 +106,17 @@ class Ours(_Tracing):
         return {"counters": dict(self._last.counters), "stages": dict(self._last.stages)}
 
 
+class Asked(_Tracing):
+    """A pipeline's variant: the whole of ``ShadowTracer.occluded``, numpy to numpy, light by light."""
+
+    def __init__(self, pipeline: str, variant: str, case: Case) -> None:
+        super().__init__(f"{pipeline}/{variant}", case, ShadowTracer(pipeline, variant, "cpu", case.bounds()))
+
+    def static(self, frame: int) -> Any:
+        points, bias = self.case.frames[frame].points, self.case.view.bias
+        return [self._tracer.occluded(points, light, bias=bias) for light in self.case.lights]
+
+
 class BruteForce(_Tracing):
     """Every sample against every triangle, as far as it is affordable: on a random subset of the samples."""
 

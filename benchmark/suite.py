@@ -12,8 +12,8 @@ peers' is structure and query, on rays that were made before. static: only the d
 query alone. ratio: the better peer, with its build (dynamic) or without (static), over ours. growth: by how much the
 time has grown since the row before, in parts of how much rays, triangles or lights have; 1 is linear.
 
-Sections: scenes, variants, rays, triangles, lights, maps (how many pixels a shadow map gets wrong), memory. Each has
-its budget of seconds; what does not fit is left out, and said.
+Sections: scenes, points (of ``occluded``), variants, rays, triangles, lights, maps (how many pixels a shadow map gets
+wrong), memory. Each has its budget of seconds; what does not fit is left out, and said.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from typing import Any
 
 import suite_maps
 import suite_memory
+import suite_points
 import suite_scaling
 import suite_scenes
 import suite_targets
@@ -38,6 +39,7 @@ from suite_settings import SECTIONS, Clock, Rows, Settings, choose, full, quick
 
 _RUN = {
     "scenes": suite_scenes.scenes,
+    "points": suite_points.points,
     "variants": suite_scenes.variants,
     "rays": suite_scaling.rays,
     "triangles": suite_scaling.triangles,
@@ -49,6 +51,7 @@ _CONTEST = ("method", "dynamic ms", "static ms", "dynamic ratio", "static ratio"
 _SCALING = ("view", "method", "triangles", "rays", "lights", "dynamic ms", "dynamic ratio", "growth", "wrong rays")
 _COLUMNS = {
     "scenes": _CONTEST,
+    "points": ("view", "triangles", "rays", *_CONTEST),
     "variants": ("method", "dynamic ms", "static ms", "frames", "wrong rays"),
     "rays": _SCALING,
     "triangles": _SCALING,
@@ -58,6 +61,7 @@ _COLUMNS = {
 }
 _MEANING = {
     "scenes": "All on every view",
+    "points": "occluded(points), in random order",
     "variants": "All variants of all pipelines",
     "rays": "More rays",
     "triangles": "More triangles",

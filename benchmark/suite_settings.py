@@ -28,7 +28,10 @@ VIEWS = (
     "museum/room/far",
 )
 QUICK_VIEWS = ("robots/corridor/inside", "stadium/pot/inside", "Sponza", "livingroom1")
-SECTIONS = ("scenes", "variants", "rays", "triangles", "lights", "maps", "memory")
+SECTIONS = ("scenes", "points", "variants", "rays", "triangles", "lights", "maps", "memory")
+
+# Those that one may choose for their speed on meshes; "variants" has the others.
+_FAST = ("light_grid/packed", "cone_hierarchy/linear", "mesh_bvh/refit", "bvh/sah", "auto/measured")
 
 # Scalar code of the papers, and brute force in float64, there to be compared with: last, and not in quick runs.
 _SLOW = (
@@ -43,8 +46,26 @@ _SLOW = (
 )
 
 # Seconds after which a section begins nothing new. What it leaves over the next ones have.
-_BUDGET = {"scenes": 200, "variants": 45, "rays": 40, "triangles": 65, "lights": 60, "maps": 35, "memory": 25}
-_QUICK_BUDGET = {"scenes": 14, "variants": 4, "rays": 5, "triangles": 6, "lights": 7, "maps": 3, "memory": 7}
+_BUDGET = {
+    "scenes": 200,
+    "points": 60,
+    "variants": 60,
+    "rays": 40,
+    "triangles": 65,
+    "lights": 60,
+    "maps": 35,
+    "memory": 25,
+}
+_QUICK_BUDGET = {
+    "scenes": 14,
+    "points": 6,
+    "variants": 8,
+    "rays": 5,
+    "triangles": 6,
+    "lights": 7,
+    "maps": 3,
+    "memory": 7,
+}
 
 
 @dataclass(frozen=True)
@@ -59,6 +80,7 @@ class Settings:
         every: (pipeline, variant) of "variants".
         held: (pipeline, variant) of "memory", beside ``pipelines``.
         sizes, triangles, lights, maps: what the sections of scaling and of shadow maps go through, ascending.
+        asked: (triangles, points) of "points" beside the views.
         views_few: the views of "variants" and "maps"; "rays", "lights" and "memory" take the first.
         variants_size: image width and height of "variants", whose slowest takes minutes otherwise.
         budget: seconds per section.
@@ -74,14 +96,15 @@ class Settings:
     triangles: tuple[int, ...]
     lights: tuple[int, ...]
     maps: tuple[int, ...]
+    asked: tuple[tuple[int, int], ...]
     views_few: tuple[str, ...]
     variants_size: int
     budget: dict[str, float] = field(default_factory=dict)
 
 
-def default_variants() -> tuple[tuple[str, str], ...]:
-    """The default variant of each pipeline but brute force."""
-    return tuple((name, variants[0]) for name, variants in available_pipelines().items() if name != "brute_force")
+def fast() -> tuple[tuple[str, str], ...]:
+    """The pipelines that are measured beside the peers, each in its default variant."""
+    return choose(list(_FAST))
 
 
 def every_variant() -> tuple[tuple[str, str], ...]:
@@ -96,18 +119,19 @@ def is_slow(pair: tuple[str, str]) -> bool:
 
 
 def full(factor: float = 1.0) -> Settings:
-    """A few minutes."""
+    """Some minutes."""
     return Settings(
         size=512,
         views=VIEWS,
         effort=Effort(5, 0.7),
-        pipelines=default_variants(),
+        pipelines=fast(),
         every=every_variant(),
         held=tuple(pair for pair in every_variant() if not is_slow(pair)),
         sizes=(128, 256, 512, 1024, 2048),
         triangles=(1_000, 4_000, 16_000, 64_000, 256_000, 1_000_000),
-        lights=(1, 2, 4, 8, 16),
+        lights=(1, 2, 4, 8, 16, 32),
         maps=(256, 512, 1024, 2048, 4096),
+        asked=tuple((triangles, points) for triangles in (36, 1_000, 30_000, 1_000_000) for points in (1_000, 100_000)),
         views_few=("robots/corridor/inside", "BART robots", "museum/room/inside"),
         variants_size=256,
         budget={name: factor * seconds for name, seconds in _BUDGET.items()},
@@ -120,13 +144,14 @@ def quick(factor: float = 1.0) -> Settings:
         size=256,
         views=QUICK_VIEWS,
         effort=Effort(3, 0.25),
-        pipelines=default_variants(),
+        pipelines=fast(),
         every=tuple(pair for pair in every_variant() if not is_slow(pair)),
         held=(),
         sizes=(128, 256, 512),
         triangles=(1_000, 16_000, 128_000),
         lights=(1, 4, 16),
         maps=(256, 512, 1024),
+        asked=((36, 1_000), (1_000, 10_000), (128_000, 1_000)),
         views_few=("robots/corridor/inside",),
         variants_size=128,
         budget={name: factor * seconds for name, seconds in _QUICK_BUDGET.items()},

@@ -37,6 +37,7 @@ _TINY = replace(
     triangles=(100, 400),
     lights=(1, 2),
     maps=(32, 128),
+    asked=((36, 100),),
     variants_size=12,
 )
 
@@ -45,6 +46,7 @@ _TINY = replace(
 def small_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     """The view of _TINY with some hundred triangles instead of 70,000."""
     import suite_maps
+    import suite_points
     import suite_scaling
     import suite_scenes
 
@@ -52,7 +54,7 @@ def small_scene(monkeypatch: pytest.MonkeyPatch) -> None:
         assert wanted == [_VIEW]
         return [_view(size)]
 
-    for module in (suite_scenes, suite_scaling, suite_maps, sys.modules["scenes"]):
+    for module in (suite_scenes, suite_points, suite_scaling, suite_maps, sys.modules["scenes"]):
         monkeypatch.setattr(module, "views", small)
 
 
@@ -68,7 +70,7 @@ def _run(section: str, settings: Settings = _TINY) -> dict[str, Any]:
 def test_all_methods_take_part_and_ours_are_right() -> None:
     found = _run("scenes")
     rows = {row["method"]: row for row in found["rows"]}
-    ours = {"/".join(pair) for pair in suite_settings.default_variants()}
+    ours = {"/".join(pair) for pair in suite_settings.fast()}
     assert ours <= set(rows)
     expected = {"wp.Mesh build + any-hit", "wp.Mesh refit + any-hit"}
     for peer, method in (("Embree", "Embree build + occluded"), ("Open3D", "Open3D build + test_occlusions")):
@@ -223,33 +225,78 @@ def _peer(view: str, method: str, dynamic: float, static: float) -> dict[str, An
     return _row(view=view, method=method, ours=False, **{"dynamic ms": dynamic, "static ms": static})
 
 
+def _found(sections: dict[str, Any]) -> dict[str, tuple[float, str, str]]:
+    """(worst, met, where) by the first words of a target."""
+    return {row["target"]: (row["worst"], row["met"], row["where"]) for row in suite_targets.targets(sections)}
+
+
 def test_targets_take_the_worst_and_auto_for_itself() -> None:
-    """Open3D is told beside the target: what Embree is beside it."""
     rows = [
         _row(),
         _row(method="auto/measured", **{"dynamic ms": 15.0, "dynamic ratio": 2.7}),
+        _row(method="brute_force/filtered", **{"dynamic ms": 1.0, "dynamic ratio": 30.0}),
         _peer("Sponza", "Embree build + occluded", 60.0, 11.0),
         _peer("Sponza", "wp.Mesh build + any-hit", 40.5, 30.0),
         _peer("Sponza", "wp.Mesh refit + any-hit", 20.0, 30.0),
-        _peer("Sponza", "Open3D build + test_occlusions", 30.0, 10.0),
+        _peer("Sponza", "Open3D build + test_occlusions", 45.0, 10.0),
         _row(view="Sibenik"),
         _peer("Sibenik", "Embree build + occluded", 35.0, 20.0),
         _row(view="elsewhere"),
-        _peer("elsewhere", "Embree build + occluded", 1.0, 1.0),
+        _peer("elsewhere", "Embree build + occluded", 29.0, 4.0),
     ]
-    found = [(row["worst"], row["met"], row["where"]) for row in suite_targets.targets({"scenes": rows})]
-    auto = "Sponza, auto/measured"
-    assert found[:3] == [(2.7, "no", auto), (2.0, "-", auto), (2.0, "yes", auto)]
-    assert found[3][:2] == (1.5, "no")
-    without = suite_targets.targets({"scenes": [row for row in rows if not row["method"].startswith("Open3D")]})
-    assert [row["worst"] for row in without] == [2.7, 2.2, 1.5]
+    six, every, static, auto = _found({"scenes": rows}).values()
+    assert six == (2.7, "no", "Sponza, 10 triangles, 10 rays, auto/measured")
+    assert every[:2] == (2.7, "no") and static[:2] == (0.8, "no") and static[2].startswith("elsewhere")
+    assert auto[:2] == (1.5, "no") and auto[2].startswith("Sponza")
+    fast_open3d = [*rows, _peer("Sibenik", "Open3D build + test_occlusions", 20.0, 3.0)]
+    assert [found[0] for found in _found({"scenes": fast_open3d}).values()] == [2.0, 2.0, 0.6, 1.5]
+
+
+def test_targets_of_points() -> None:
+    few = {"view": "room", "rays": 900}
+    rows = [
+        _row(rays=2000),
+        _row(method="Embree build + occluded", ours=False, rays=2000, **{"dynamic ms": 31.0}),
+        _row(**few),
+        _row(method="Embree build + occluded", ours=False, **few, **{"dynamic ms": 5.0}),
+    ]
+    assert [found[:2] for found in _found({"points": rows}).values()] == [(3.1, "yes"), (3.1, "yes")]
 
 
 def test_targets_of_growth_and_lights() -> None:
     rays = [_row(rays=10), _row(rays=40, **{"dynamic ms": 60.0})]
     lights = [_row(), _row(lights=16, **{"dynamic ms": 90.0})]
-    found = [row["worst"] for row in suite_targets.targets({"rays": rays, "lights": lights})]
-    assert found == [1.5, 9.0]
+    assert [found[0] for found in _found({"rays": rays, "lights": lights}).values()] == [1.5, 9.0]
+    peers = [
+        _row(method="Open3D build + test_occlusions", ours=False, lights=count, **{"dynamic ms": time})
+        for count, time in ((1, 20.0), (16, 81.0))
+    ]
+    assert [found[:2] for found in _found({"lights": [*lights, *peers]}).values()] == [
+        (0.9, "no"),
+        (0.9, "no"),
+        (9.0, "no"),
+    ]
+
+
+@pytest.mark.slow
+def test_points_are_asked_of_all() -> None:
+    settings = replace(_TINY, pipelines=suite_settings.choose(["light_grid/packed", "auto"]), asked=((36, 20),))
+    rows = _run("points", settings)["rows"]
+    assert {row["view"] for row in rows} == {_VIEW, "museum/room/inside"}
+    for row in rows:
+        assert row["dynamic ms"] > 0.0 and row["static ms"] > 0.0
+        assert row["rays"] == 20 or row["view"] == _VIEW
+    assert {row["method"] for row in rows} >= {"light_grid/packed", "auto/measured", "wp.Mesh build + any-hit"}
+
+
+def test_points_are_drawn_with_their_answers() -> None:
+    whole = Case(_view(24), 2)
+    some = whole.drawn(50)
+    for frame, right, of, answers in zip(some.frames, some.dynamic, whole.frames, whole.dynamic, strict=True):
+        assert len(frame.points) == len(frame.lights[0].starts) == right.shape[1] == 50
+        known = {point.tobytes(): answer for point, answer in zip(of.points, answers[0], strict=True)}
+        assert [known[point.tobytes()] for point in frame.points] == right[0].tolist()
+        assert not np.array_equal(frame.points, of.points[:50])
 
 
 @pytest.mark.slow
@@ -277,7 +324,7 @@ def test_the_program_writes_figures_and_plots(tmp_path: Path) -> None:
 def test_plots_of_all_sections_are_small(tmp_path: Path) -> None:
     plots = pytest.importorskip("plots", reason="plots need matplotlib")
     settings = replace(_TINY, pipelines=(("light_grid", "packed"),))
-    found = suite.run(settings, ["scenes", "rays", "triangles", "lights", "maps"], quiet=True)
+    found = suite.run(settings, ["scenes", "points", "rays", "triangles", "lights", "maps"], quiet=True)
     held = {"triangles": 600, "rays": 500, "device MB": None, "loaded MB": 100.0, "peak MB": 130.0, "more MB": 30.0}
     found["memory"] = {"rows": [{**held, "method": method} for method in ("light_grid/packed", "Embree")]}
     machine = {"processor": "p", "warp-lang": "1", "embreex": "4", "commit": "c", "changed since": False}
