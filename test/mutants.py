@@ -27,7 +27,7 @@ def failing_tests(
         kernels: a cache of kernels for several copies: what has not changed is compiled once.
         first: the first one that fails is enough.
     """
-    for name in ("shadow_tracer", "test"):
+    for name in ("shadow_tracer", "test", "benchmark"):
         shutil.copytree(_ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(_ROOT / "pyproject.toml", folder)
     for name, there, instead in changes:

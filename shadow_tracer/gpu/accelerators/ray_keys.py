@@ -15,7 +15,7 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.admission import IN_TREE, Admission
 from shadow_tracer.gpu.accelerators.interface import Context
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.device.extents import STRIPES, clear_extents, joined, widen
+from shadow_tracer.gpu.device.extents import STRIPES, clear_extents, joined, stripe, widen
 from shadow_tracer.gpu.device.sort import KeySort
 from shadow_tracer.gpu.exact.light_frame import SHADOWED
 from shadow_tracer.gpu.exact.light_space import FACES
@@ -84,7 +84,7 @@ def measure_extent(rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8
     if group[i] != wp.uint8(IN_TREE):
         return
     on = cubified(rays[i])
-    widen(extent, 4 * (FACES * (i & (STRIPES - 1)) + int(on[2])), on[0], on[1])
+    widen(extent, 4 * (FACES * stripe(i) + int(on[2])), on[0], on[1])
 
 
 @wp.kernel(enable_backward=False)

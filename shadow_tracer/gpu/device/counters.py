@@ -27,3 +27,11 @@ native.constants(ACCEPTED=ACCEPTED, PASSES=PASSES, ENTRIES=ENTRIES)
 LARGEST = ("peak_queue", "largest_tile")  # of these the largest value of any row counts, not the sum
 ROWS = 64
 native.constants(COUNTER_ROWS=ROWS)
+
+
+@wp.func_native(
+    native.snippet("device/warp.h", call="Warp::add(counters.data + counters.shape[1] * row + column, number);")
+)
+def add_to(counters: wp.array2d(dtype=wp.int64), row: int, column: int, number: int):
+    """Add to a counter: to one of its rows, ``row`` or that of a neighbouring thread."""
+    ...

@@ -6,22 +6,25 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.device import native
+
 STRIPES = wp.constant(64)
 NOTHING = wp.constant(3.0)  # low values begin here, high ones at its negative: beyond any u and v
 
 
-@wp.func
+native.constants(EXTENT_BITS=0x7FFFFFFF)  # all but the sign of a float
+
+
+@wp.func_native(native.snippet("device/extents.h", call="Extents::widen(extents.data + base, u, v);"))
 def widen(extents: wp.array(dtype=float), base: int, u: float, v: float):
     """Take (u, v) into the four values from ``base`` on."""
-    # Looking first keeps almost all threads from queueing for the same few addresses.
-    if u < extents[base]:
-        wp.atomic_min(extents, base, u)
-    if v < extents[base + 1]:
-        wp.atomic_min(extents, base + 1, v)
-    if u > extents[base + 2]:
-        wp.atomic_max(extents, base + 2, u)
-    if v > extents[base + 3]:
-        wp.atomic_max(extents, base + 3, v)
+    ...
+
+
+@wp.func
+def stripe(thread: int) -> int:
+    """The copy for a thread: the same one for a warp, whose lanes then widen it once for all of them."""
+    return (thread >> 5) & (STRIPES - 1)
 
 
 @wp.func

@@ -57,9 +57,17 @@ def ray_magnitude(ray: wp.vec4) -> float:
 @wp.func_native(
     native.snippet(
         "exact/filter.h",
+        "device/vector.h",
         call="""
     int yes = 0;
-    const float* record = (const float*)records.data + 16 * (size_t)triangle;
+    const float* from = (const float*)records.data + 16 * (size_t)triangle;
+#if defined(__CUDA_ARCH__)
+    float record[16];
+    for (int k = 0; k < 16; k += 4)
+        Vector::load(from + k, record + k);
+#else
+    const float* record = from;
+#endif
     return Filter1::possible(record, ray[0], ray[1], ray[2], ray[3], magnitude, yes) ? 2 - yes : 0;
     """,
     )

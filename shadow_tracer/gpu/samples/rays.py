@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.device import forms, native
-from shadow_tracer.gpu.device.counters import RAYS
+from shadow_tracer.gpu.device.counters import RAYS, add_to
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 
@@ -48,7 +48,7 @@ def project_samples(
 ):
     i = wp.tid()
     if project_sample(i, light[0], samples, valid, rays, states) != 0 and counted == 0:
-        wp.atomic_add(counters, i & 63, RAYS, wp.int64(1))
+        add_to(counters, i & 63, RAYS, 1)
 
 
 @native.func_native("samples/project_block.h", calls="ProjectBlock::block")

@@ -10,10 +10,10 @@ ray of a covered box is occluded, wherever the light is; there are no poles and 
 
 On CUDA (``binning.h``; ``tracing.py`` goes on from there) entries are counted, scanned, and emitted, so that each has a
 running number that says whether it belongs to the part at hand: of a part, no more entries than the list holds. A
-triangle that may touch many columns is not left to one thread: it becomes items of a few columns each. Emitted entries
-are brought together by tile (counted on the way, scanned, scattered); lists longer than 256 are cut into chunks. A
-warp's 32 lanes, one ray each, take a chunk at a time; all of them read the same record. Answers may be stored by
-several warps: storing is idempotent.
+triangle that comes to many boxes is not left to one thread: it becomes items of a few columns each, which warps take
+one after the other, 32 boxes of a level at a time. Emitted entries are brought together by tile (counted on the way,
+scanned, scattered); long lists are cut into chunks. A warp's 32 lanes, one ray each, take a chunk at a time; all of
+them read the same record. Answers may be stored by several warps: storing is idempotent.
 
 On the CPU (``binning16.h``, ``together16.h``, ``entries.h``) one thread takes clusters of sixteen triangles in order,
 those that may concern any ray (``candidates.py``). Triangles of a cluster that lie close together share the way to the
@@ -32,13 +32,24 @@ from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.counters import LARGEST_TILE, OVERFLOWS, PASSES
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.exact.light_space import LightSpace, space_of
+from shadow_tracer.gpu.exact.light_space import FACES, LightSpace, space_of
 from shadow_tracer.gpu.visibility.answers import Answers
 
-# Columns of an item, and columns from which on a triangle becomes items.
-_ITEM_COLUMNS = 4
-_MANY_COLUMNS = 8
-native.constants(ITEM_COLUMNS=_ITEM_COLUMNS, MANY_COLUMNS=_MANY_COLUMNS)
+# Columns of an item: of the worst one, all of whose boxes are looked at, a lane looks at 1 + 4 + 64 boxes. Boxes that a
+# thread looks at before it leaves its triangle to warps; at most 16 more.
+ITEM_COLUMNS = 8
+LONG_WALK = 64
+# What becomes of a triangle: one thread takes it; it has become items; a warp takes it, as there was no room for items.
+SHORT = wp.constant(0)
+IN_ITEMS = wp.constant(1)
+LONG = wp.constant(2)
+native.constants(ITEM_COLUMNS=ITEM_COLUMNS, LONG_WALK=LONG_WALK, SHORT=SHORT, IN_ITEMS=IN_ITEMS, LONG=LONG)
+
+# Elements of ``Bins.item_count``: items, and the next one, or chunk, that no warp has taken.
+ITEMS = wp.constant(0)
+NEXT_TO_COUNT = wp.constant(1)
+NEXT_TO_EMIT = wp.constant(2)
+NEXT_TO_TRACE = wp.constant(3)
 
 
 @wp.struct
@@ -48,7 +59,7 @@ class Bins:
     capacity: int  # entries
     items: wp.array(dtype=wp.vec4i)  # of large triangles: record, face, first and last column
     item_count: wp.array(dtype=int)
-    itemised: wp.array(dtype=int)  # of each record: faces that became items, as bits
+    length_of: wp.array(dtype=int)  # of each triangle of each light: SHORT, IN_ITEMS or LONG
     offsets: wp.array(dtype=wp.int64)  # inclusive sums of entries, by triangle, then by item
     tile: wp.array(dtype=int)  # of each entry
     record: wp.array(dtype=int)
@@ -62,22 +73,9 @@ class Bins:
     emitted: wp.array(dtype=int)
 
 
-@native.func_native("accelerators/light_grid/binning.h", calls="Binning::itemise")
-def itemise(
-    triangle: int,
-    place: int,
-    space: LightSpace,
-    tiles: Tiles,
-    occluders: Occluders,
-    bins: Bins,
-    answers: Answers,
-):
-    """Make items of a triangle that may touch many columns."""
-    ...
-
-
 @native.func_native("accelerators/light_grid/binning.h", calls="Binning::whole")
 def bin_triangle(
+    unit: int,
     triangle: int,
     place: int,
     emit: int,
@@ -89,15 +87,32 @@ def bin_triangle(
     bins: Bins,
     answers: Answers,
 ) -> wp.int64:
-    """The entries of a triangle that did not become items: how many, and with ``emit`` they are stored."""
+    """The entries of a triangle, number ``unit`` of all: how many, and with ``emit`` they are stored. None of one that
+    is too long for a thread."""
     ...
 
 
-@native.func_native("accelerators/light_grid/binning.h", calls="Binning::item")
-def bin_item(
+@native.func_native("accelerators/light_grid/binning.h", calls="Binning::itemise")
+def itemise(
+    unit: int,
     triangle: int,
     place: int,
-    face: int,
+    space: LightSpace,
+    tiles: Tiles,
+    occluders: Occluders,
+    bins: Bins,
+    answers: Answers,
+):
+    """Make items of a triangle that is ``LONG``, which then is ``IN_ITEMS``, if there is room for them."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/binning.h", calls="Binning::together")
+def bin_together(
+    triangle: int,
+    place: int,
+    first_face: int,
+    last_face: int,
     first_column: int,
     last_column: int,
     emit: int,
@@ -109,26 +124,70 @@ def bin_item(
     bins: Bins,
     answers: Answers,
 ) -> wp.int64:
-    """The same for an item."""
+    """The same as ``bin_triangle`` by a warp, for some faces and columns of a triangle."""
     ...
 
 
-@wp.kernel(enable_backward=False)
-def itemise_triangles(
-    lights: wp.array(dtype=LightFrame), tiles: Tiles, occluders: Occluders, bins: Bins, answers: Answers
-):
-    """One thread per triangle of each light."""
-    i = wp.tid()
-    place = i // occluders.count
-    itemise(i - place * occluders.count, place, space_of(lights[place]), tiles, occluders, bins, answers)
+@wp.func_native(native.snippet("device/warp.h", call="return Warp::works(thread);"))
+def works(thread: int) -> bool:
+    """Whether a thread of a warp has anything to do."""
+    ...
+
+
+@wp.func_native(native.snippet("device/warp.h", call="return Warp::take(counters.data + which);"))
+def take(counters: wp.array(dtype=int), which: int) -> int:
+    """The next number of a counter, for all lanes of a warp."""
+    ...
+
+
+@wp.func_native(native.snippet("device/warp.h", call="return Warp::first();"))
+def first_lane() -> int:
+    """The first lane of its warp that this thread does the work of."""
+    ...
+
+
+@wp.func_native(native.snippet("device/warp.h", call="return Warp::last();"))
+def last_lane() -> int:
+    """The lane behind the last of them."""
+    ...
+
+
+@wp.func_native(native.snippet("device/warp.h", call="return (int)Warp::joined((unsigned)own);"))
+def joined(own: int) -> int:
+    """A bit for each lane of a warp, from those that each thread has for the lanes it does the work of."""
+    ...
+
+
+@wp.func_native(native.snippet("device/warp.h", call="return Warp::lowest((unsigned)mask);"))
+def lowest(mask: int) -> int:
+    """The lowest bit of a mask that is not 0."""
+    ...
 
 
 @wp.func
-def before_of(bins: Bins, i: int) -> wp.int64:
+def left_to_warps(unit: int, units: int, bins: Bins) -> int:
+    """Which of 32 triangles from ``unit`` on are ``LONG``, as bits."""
+    own = int(0)
+    for lane in range(first_lane(), last_lane()):
+        if unit + lane < units and bins.length_of[unit + lane] == LONG:
+            own = own | (1 << lane)
+    return joined(own)
+
+
+@wp.func
+def begins(bins: Bins, i: int) -> wp.int64:
     """Number of the first entry of triangle, or item, ``i``."""
     if i == 0:
         return wp.int64(0)
     return bins.offsets[i - 1]
+
+
+@wp.func
+def concerned(bins: Bins, i: int, window: wp.int64) -> bool:
+    """Whether any of the entries of triangle, or item, ``i`` are among those that a list from ``window`` on holds."""
+    before = begins(bins, i)
+    end = bins.offsets[i]
+    return end > before and end > window and before < window + wp.int64(bins.capacity)
 
 
 @wp.kernel(enable_backward=False)
@@ -146,19 +205,29 @@ def bin_triangles(
     place = i // occluders.count
     before = wp.int64(0)
     if emit != 0:
-        before = before_of(bins, i)
-        if bins.offsets[i] <= before or bins.offsets[i] <= window or before >= window + wp.int64(bins.capacity):
+        if not concerned(bins, i, window):
             return
+        before = begins(bins, i)
     space = space_of(lights[place])
     found = bin_triangle(
-        i - place * occluders.count, place, emit, before, window, space, tiles, occluders, bins, answers
+        i, i - place * occluders.count, place, emit, before, window, space, tiles, occluders, bins, answers
     )
     if emit == 0:
         bins.offsets[i] = found
 
 
 @wp.kernel(enable_backward=False)
-def bin_items(
+def itemise_triangles(
+    lights: wp.array(dtype=LightFrame), tiles: Tiles, occluders: Occluders, bins: Bins, answers: Answers
+):
+    """One thread per triangle of each light."""
+    i = wp.tid()
+    place = i // occluders.count
+    itemise(i, i - place * occluders.count, place, space_of(lights[place]), tiles, occluders, bins, answers)
+
+
+@wp.kernel(enable_backward=False)
+def bin_long(
     lights: wp.array(dtype=LightFrame),
     emit: int,
     window: wp.int64,
@@ -167,40 +236,59 @@ def bin_items(
     bins: Bins,
     answers: Answers,
 ):
-    """Count or emit the entries of items: one thread per place for one."""
-    k = wp.tid()
-    i = tiles.lights * occluders.count + k
-    item = wp.vec4i(0, 0, 0, -1)
-    if k < wp.min(bins.item_count[0], bins.items.shape[0]):
-        item = bins.items[k]
-    before = wp.int64(0)
-    if emit == 0:
-        bins.offsets[i] = wp.int64(0)
-    else:
-        before = before_of(bins, i)
-        if bins.offsets[i] <= before or bins.offsets[i] <= window or before >= window + wp.int64(bins.capacity):
-            return
-    if item[3] < item[2]:
+    """The same for what is too long for a thread: warps take one item after the other, then 32 triangles, of which
+    they look at those that there was no room for."""
+    if not works(wp.tid()):
         return
-    place = item[0] // occluders.records_apart
-    space = space_of(lights[place])
-    found = bin_item(
-        item[0] - place * occluders.records_apart,
-        place,
-        item[1],
-        item[2],
-        item[3],
-        emit,
-        before,
-        window,
-        space,
-        tiles,
-        occluders,
-        bins,
-        answers,
-    )
-    if emit == 0:
-        bins.offsets[i] = found
+    units = tiles.lights * occluders.count
+    items = wp.min(bins.item_count[ITEMS], bins.items.shape[0])
+    job = take(bins.item_count, NEXT_TO_COUNT + emit)
+    while job < items + (units + 31) // 32:
+        item = wp.vec4i(0, 0, 0, -1)
+        mask = int(0)
+        base = 32 * (job - items)
+        if job < items:
+            item = bins.items[job]
+            mask = wp.where(item[3] >= item[2], 1, 0)
+        else:
+            mask = left_to_warps(base, units, bins)
+        while mask != 0:
+            i = units + job
+            place = item[0] // occluders.records_apart
+            triangle = item[0] - place * occluders.records_apart
+            first_face = item[1]
+            last_face = item[1]
+            if job >= items:
+                i = base + lowest(mask)
+                place = i // occluders.count
+                triangle = i - place * occluders.count
+                first_face = 0
+                last_face = FACES - 1
+                item = wp.vec4i(0, 0, 0, 2147483647)
+            before = wp.int64(0)
+            if emit != 0:
+                before = begins(bins, i)
+            if emit == 0 or concerned(bins, i, window):
+                found = bin_together(
+                    triangle,
+                    place,
+                    first_face,
+                    last_face,
+                    item[2],
+                    item[3],
+                    emit,
+                    before,
+                    window,
+                    space_of(lights[place]),
+                    tiles,
+                    occluders,
+                    bins,
+                    answers,
+                )
+                if emit == 0:
+                    bins.offsets[i] = found
+            mask = mask & (mask - 1)
+        job = take(bins.item_count, NEXT_TO_COUNT + emit)
 
 
 @wp.struct

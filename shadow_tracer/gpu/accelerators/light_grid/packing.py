@@ -24,6 +24,7 @@ from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     FIRST_RAY,
     FORWARD,
     LENGTH,
+    LOOKUP,
     QUANTITIES,
     RAYS_OF,
     U_BITS,
@@ -32,12 +33,12 @@ from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     TileBuffers,
     Tiles,
     lay_out,
-    make_lookup,
+    lookup_cell,
     no_column,
 )
 from shadow_tracer.gpu.accelerators.ray_keys import cubified
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.device.extents import STRIPES, clear_extents, joined, widen
+from shadow_tracer.gpu.device.extents import STRIPES, clear_extents, joined, stripe, widen
 from shadow_tracer.gpu.exact.decision import ray_magnitude
 from shadow_tracer.gpu.exact.light_frame import SHADOWED, LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES, face_axes, space_of
@@ -74,7 +75,7 @@ def measure_rays(
         return
     ray = rays[i]
     place = i // tiles.samples
-    base = 4 * _EXTENTS * ((i & (STRIPES - 1)) * tiles.lights + place)
+    base = 4 * _EXTENTS * (stripe(i) * tiles.lights + place)
     on = cubified(ray)
     widen(extents, base + 4 * int(on[2]), on[0], on[1])
     if fits_frustum(ray):
@@ -259,36 +260,71 @@ def bound_tiles(lights: wp.array(dtype=LightFrame), tiles: Tiles, group_of: wp.a
     store_box(tiles.boxes, tile, low, high)
 
 
-@wp.kernel(enable_backward=False)
-def bound_columns(tiles: Tiles):
-    """The boxes of a column's blocks, and its own. One thread per place for a column."""
-    column = wp.tid()
-    if column >= tiles.counts[ALL_COLUMNS]:
-        return
+@wp.func
+def column_of(tiles: Tiles, column: int):
+    """Its blocks and the first of them; none of a place that holds no column."""
     number = int(tiles.lights * FACES - 1)
     while tiles.groups[number, FIRST_COLUMN] > column or tiles.groups[number, RAYS_OF] == 0:
         number -= 1
     k = column - tiles.groups[number, FIRST_COLUMN]
+    length = tiles.groups[number, LENGTH]
+    rays = wp.min(length, tiles.groups[number, RAYS_OF] - k * length)
     if k >= tiles.groups[number, COLUMNS_OF]:
+        rays = 0
+    return (rays + BLOCK_RAYS - 1) // BLOCK_RAYS, tiles.groups[number, FIRST_BLOCK] + k * (length // BLOCK_RAYS)
+
+
+@wp.kernel(enable_backward=False)
+def bound_blocks(tiles: Tiles):
+    """The box of a block. One thread per place for a block of a column."""
+    place = wp.tid()
+    column = place >> 4
+    if column >= tiles.counts[ALL_COLUMNS]:
         return
-    rays = wp.min(tiles.groups[number, LENGTH], tiles.groups[number, RAYS_OF] - k * tiles.groups[number, LENGTH])
-    blocks = (rays + BLOCK_RAYS - 1) // BLOCK_RAYS
-    first = tiles.groups[number, FIRST_BLOCK] + k * (tiles.groups[number, LENGTH] // BLOCK_RAYS)
-    places = int(16)  # a variable, so that the loop stays one
-    for b in range(places):
-        low = wp.vec3(1.0, 1.0, 1.0)
-        high = wp.vec3(-1.0, -1.0, -1.0)
-        if b < blocks:
-            low, high = join_boxes(tiles.boxes, 16 * (first + b), 16)
-        store_box(tiles.blocks, 16 * column + b, low, high)
-    low, high = join_boxes(tiles.blocks, 16 * column, 16)
-    store_box(tiles.columns, column, low, high)
+    blocks, first = column_of(tiles, column)
+    if blocks == 0:
+        return
+    low = wp.vec3(1.0, 1.0, 1.0)
+    high = wp.vec3(-1.0, -1.0, -1.0)
+    if (place & 15) < blocks:
+        low, high = join_boxes(tiles.boxes, 16 * (first + (place & 15)), 16)
+    store_box(tiles.blocks, place, low, high)
+
+
+@wp.kernel(enable_backward=False)
+def bound_columns(tiles: Tiles):
+    """The box of a column. One thread per place for a column."""
+    column = wp.tid()
+    if column >= tiles.counts[ALL_COLUMNS]:
+        return
+    blocks, first = column_of(tiles, column)
+    if blocks > 0:
+        low, high = join_boxes(tiles.blocks, 16 * column, 16)
+        store_box(tiles.columns, column, low, high)
 
 
 @wp.kernel(enable_backward=False)
 def make_lookups(tiles: Tiles):
-    """One thread per group."""
-    make_lookup(wp.tid(), tiles)
+    """``Tiles.lookup``, as ``make_lookup`` makes it. One thread per cell of each group; all of a group read the same
+    boxes."""
+    i = wp.tid()
+    number = i // LOOKUP
+    cell = i - number * LOOKUP
+    columns = tiles.groups[number, COLUMNS_OF]
+    first = tiles.groups[number, FIRST_COLUMN]
+    fit = tiles.fit[number]
+    from_here = int(columns)  # the first column that ends in this cell or behind it
+    to_here = int(-1)  # the last that begins in it or before it
+    for c in range(columns):
+        column = first + c
+        box = (column >> 4) * 16 * QUANTITIES + (column & 15)
+        middle = tiles.columns[box]
+        extent = tiles.columns[box + 32]
+        if lookup_cell(middle + extent, fit) >= cell:
+            from_here = wp.min(from_here, c)
+        if lookup_cell(middle - extent, fit) <= cell:
+            to_here = c
+    tiles.lookup[i] = wp.vec2i(from_here, to_here)
 
 
 class Packer:
@@ -326,8 +362,9 @@ class Packer:
         sort.sort(count, 0, V_BITS + (columns + 1).bit_length())
         launch(fill_lanes, blocks * BLOCK_RAYS, tiles, rays, sort.values, self._group_of)
         launch(bound_tiles, 16 * blocks, lights, tiles, self._group_of)
+        launch(bound_blocks, 16 * columns, tiles)
         launch(bound_columns, columns, tiles)
-        launch(make_lookups, groups, tiles)
+        launch(make_lookups, LOOKUP * groups, tiles)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -6,7 +6,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.light_grid.binning import Bins
+from shadow_tracer.gpu.accelerators.light_grid.binning import (
+    NEXT_TO_EMIT,
+    NEXT_TO_TRACE,
+    Bins,
+    first_lane,
+    last_lane,
+    take,
+    works,
+)
 from shadow_tracer.gpu.accelerators.light_grid.tiles import ALL_BLOCKS, Tiles
 from shadow_tracer.gpu.device.counters import ACCEPTED, ENTRIES, LARGEST_TILE, LEAF_TESTS, PASSES, SPLITS
 from shadow_tracer.gpu.exact.decision import NO, filter_pair
@@ -14,7 +22,7 @@ from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LIT, SHADOWED
 from shadow_tracer.gpu.visibility.answers import Answers, settle
 
-CHUNK = wp.constant(256)
+CHUNK = wp.constant(64)  # entries that a warp takes at a time
 
 
 @wp.kernel(enable_backward=False)
@@ -33,7 +41,9 @@ def write_covered(tiles: Tiles, answers: Answers):
 
 @wp.kernel(enable_backward=False)
 def start_part(units: int, part: int, bins: Bins, parts: wp.array(dtype=int), answers: Answers):
-    """Number of parts, and of the entries of this one. One thread."""
+    """Number of parts, and of the entries of this one; nothing is taken yet. One thread."""
+    bins.item_count[NEXT_TO_EMIT] = 0
+    bins.item_count[NEXT_TO_TRACE] = 0
     total = bins.offsets[units - 1]
     capacity = wp.int64(bins.capacity)
     bins.emitted[0] = int(wp.min(wp.max(total - wp.int64(part) * capacity, wp.int64(0)), capacity))
@@ -83,29 +93,34 @@ def list_chunks(bins: Bins):
 
 
 @wp.kernel(enable_backward=False)
-def trace_chunks(warps: int, tile_places: int, tiles: Tiles, occluders: Occluders, bins: Bins, answers: Answers):
-    """32 threads per chunk, one ray each."""
+def trace_chunks(tile_places: int, tiles: Tiles, occluders: Occluders, bins: Bins, answers: Answers):
+    """Warps take one chunk after the other, each of the 32 lanes a ray."""
     thread = wp.tid()
-    lane = thread & 31
+    if not works(thread):
+        return
     tests = int(0)
-    for w in range(thread >> 5, bins.chunks[tile_places], warps):
+    w = take(bins.item_count, NEXT_TO_TRACE)
+    while w < bins.chunks[tile_places]:
         tile = bins.work[w][0]
-        k = bins.start[tile] + bins.work[w][1] * CHUNK
-        end = wp.min(k + CHUNK, bins.start[tile] + bins.length[tile])
-        sample = tiles.order[32 * tile + lane]
-        live = ((tiles.live[tile] >> lane) & 1) != 0
-        if live:
-            live = answers.states[sample] == wp.uint8(LIT)
-        if live:
-            base = (2 * tile + (lane >> 4)) * 80 + (lane & 15)
-            ray = wp.vec4(tiles.rays[base], tiles.rays[base + 16], tiles.rays[base + 32], tiles.rays[base + 48])
-            magnitude = tiles.rays[base + 64]
-            while k < end:
-                record = bins.sorted[k]
-                answer = filter_pair(ray, magnitude, occluders.records, record)
-                tests += 1
-                k += 1
-                if answer != NO and settle(sample, record % occluders.records_apart, answer, answers):
-                    k = end
+        begin = bins.start[tile] + bins.work[w][1] * CHUNK
+        end = wp.min(begin + CHUNK, bins.start[tile] + bins.length[tile])
+        for lane in range(first_lane(), last_lane()):
+            sample = tiles.order[32 * tile + lane]
+            live = ((tiles.live[tile] >> lane) & 1) != 0
+            if live:
+                live = answers.states[sample] == wp.uint8(LIT)
+            if live:
+                base = (2 * tile + (lane >> 4)) * 80 + (lane & 15)
+                ray = wp.vec4(tiles.rays[base], tiles.rays[base + 16], tiles.rays[base + 32], tiles.rays[base + 48])
+                magnitude = tiles.rays[base + 64]
+                k = begin
+                while k < end:
+                    record = bins.sorted[k]
+                    answer = filter_pair(ray, magnitude, occluders.records, record)
+                    tests += 1
+                    k += 1
+                    if answer != NO and settle(sample, record % occluders.records_apart, answer, answers):
+                        k = end
+        w = take(bins.item_count, NEXT_TO_TRACE)
     if tests > 0:
         wp.atomic_add(answers.counters, thread & 63, LEAF_TESTS, wp.int64(tests))

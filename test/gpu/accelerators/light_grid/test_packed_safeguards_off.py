@@ -139,9 +139,35 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         [
             (_GRID + "tiles.py", "tiles.columns[box] - tiles.columns[box + 32]", "tiles.columns[box]"),
             (_GRID + "tiles.py", "tiles.columns[box] + tiles.columns[box + 32]", "tiles.columns[box]"),
+            (_GRID + "packing.py", "lookup_cell(middle + extent, fit)", "lookup_cell(middle, fit)"),
+            (_GRID + "packing.py", "lookup_cell(middle - extent, fit)", "lookup_cell(middle, fit)"),
         ],
     ),
 }
+
+
+# What only the CUDA form has: file, what stands there, what is put there instead.
+_OF_WARPS: dict[str, tuple[str, str, str]] = {
+    "of two columns the first alone": (_GRID + "binning.h", "rest ? base + Warp::lowest(rest) : -1", "-1"),
+    "of two blocks the first alone": (
+        _GRID + "binning.h",
+        "rest ? block_of(group, first, second, Warp::lowest(rest)) : -1",
+        "-1",
+    ),
+    "32 columns of many": (_GRID + "binning.h", "base <= to; base += 32", "base == from; base += 32"),
+    "long triangles taken by none": (_GRID + "binning.py", "bins.length_of[unit + lane] == LONG", "False"),
+    "items and the triangle itself": (_GRID + "binning.h", "bins.length_of.data[unit] = IN_ITEMS;", ""),
+    "the last columns in no item": (_GRID + "binning.h", "(last - from + ITEM_COLUMNS)", "(last - from + 1)"),
+    "chunks in the first part alone": (_GRID + "tracing.py", "bins.item_count[NEXT_TO_TRACE] = 0", "pass"),
+    "items in the first part alone": (_GRID + "tracing.py", "bins.item_count[NEXT_TO_EMIT] = 0", "pass"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mutant", _OF_WARPS)
+def test_without_a_safeguard_of_warps_the_tests_fail(mutant: str, tmp_path: Path, kernels: Path) -> None:
+    some = "that_warps_take"
+    failing_tests([_OF_WARPS[mutant]], "accelerators/light_grid/test_packed_entries.py", some, tmp_path, kernels)
 
 
 @pytest.mark.wide
