@@ -56,20 +56,8 @@ def ray_magnitude(ray: wp.vec4) -> float:
 
 @wp.func_native(
     native.snippet(
-        "exact/filter.h",
-        "device/vector.h",
-        call="""
-    int yes = 0;
-    const float* from = (const float*)records.data + 16 * (size_t)triangle;
-#if defined(__CUDA_ARCH__)
-    float record[16];
-    for (int k = 0; k < 16; k += 4)
-        Vector::load(from + k, record + k);
-#else
-    const float* record = from;
-#endif
-    return Filter1::possible(record, ray[0], ray[1], ray[2], ray[3], magnitude, yes) ? 2 - yes : 0;
-    """,
+        "exact/filter_one.h",
+        call="return FilterOne::answer((const float*)records.data + 16 * (size_t)triangle, ray, magnitude);",
     )
 )
 def filter_pair(ray: wp.vec4, magnitude: float, records: wp.array2d(dtype=wp.vec4), triangle: int) -> int:
