@@ -106,18 +106,18 @@ def clusters(grid: Any) -> np.ndarray:
 
 
 def blocks_made(grid: Any) -> np.ndarray:
-    """(N,) bool: whether the records of each block of 128 triangles have been made, in the form of the CPU."""
+    """(N,) bool: whether there are records of each block of 128 triangles, in the form of the CPU, which makes them for
+    rays outside of the tiles alone."""
     found: np.ndarray = grid._way._candidates._made.numpy() == 2
     return found
 
 
 @dataclass(frozen=True)
 class Binning:
-    """What triangles are held against the boxes of tiles with, see ``light_grid/binning.h``: all that there is in both
-    forms, and what there is in one alone, clusters, where each light's end, and corners, or bins and answers."""
+    """What triangles are held against the boxes of tiles with, see ``light_grid/binning.h``: what there is in one form
+    alone, clusters, where each light's end, and their triangles, or occluders, bins and answers."""
 
     tiles: Tiles
-    occluders: Any
     alone: tuple[Any, ...]
 
 
@@ -131,9 +131,8 @@ def binning(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> Binni
     del way.trace
     (rays,) = taken
     if probe.wide(tracer.device):
-        alone = way._clusters, way._ends, way._candidates.corners(rays)
-        return Binning(tiles(grid), context.occluders(rays), alone)
-    return Binning(tiles(grid), way.occluders(rays), (way._bins, context.answers(rays)))
+        return Binning(tiles(grid), (way._clusters, way._ends, way.casters(rays)))
+    return Binning(tiles(grid), (way.occluders(rays), way._bins, context.answers(rays)))
 
 
 # --- geometry_image ---

@@ -71,9 +71,9 @@ struct WorldToLight {
 };
 struct Candidates16 {
     // Stores the clusters that may concern the rays of the light at `place`, ascending, from `first` on; returns the
-    // end. With `everything` all of them.
-    static inline int list(int place, int first, int everything, const LightFrame& frame, const Tiles& tiles,
-                           const Clusters& clusters, const wp::array_t<int>& found) {
+    // end.
+    static inline int list(int place, int first, const LightFrame& frame, const Tiles& tiles, const Clusters& clusters,
+                           const wp::array_t<int>& found) {
         enum { SIXTEEN_BOXES = 16 * 6 };
         typedef Pyramid::Double16 Double16;
         const int items = (clusters.triangles + 255) / 256, count = (clusters.triangles + 15) / 16;
@@ -96,8 +96,6 @@ struct Candidates16 {
             int seen = 0;
             for (int f = 0; f < faces; ++f)
                 seen |= pyramids[f].inside(0xFFFF & ~seen, low, high, most);
-            if (everything)
-                seen = 0xFFFF;
             for (; seen; seen &= seen - 1) {
                 const int cluster = 16 * item + __builtin_ctz(seen);
                 if (cluster < count)

@@ -66,6 +66,10 @@ class PackedGrid(Accelerator):
         self._admission.admit(rays)
         self._way.pack(rays)
 
+    def silent(self, light: LightFrame) -> tuple[int, int]:
+        """Triangles that cast nothing, of those that were looked at."""
+        return self._way.silent(light)
+
     def nbytes(self) -> int:
         """Bytes on the device."""
         return sum(part.nbytes() for part in (self._admission, self._buffers, self._way))

@@ -141,6 +141,9 @@ class ThreadGrid:
         warps = forms.tasks(samples.device, _THREADS_CUDA // 32)
         self._run(tracing.trace_chunks, 32 * warps, warps, places, tiles, self.occluders(rays), bins, answers)
 
+    def silent(self, light: LightFrame) -> tuple[int, int]:
+        return self._context.records.silent(light.number)
+
     def nbytes(self) -> int:
         bins = self._bins
         arrays = (bins.items, bins.item_count, bins.itemised, bins.offsets, bins.tile, bins.record, bins.rank)

@@ -46,7 +46,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     ),
     "records kept when the light moves": (
         _CANDIDATES,
-        "only_what",
+        "shown_everything",
         [(_GRID + "candidates.py", "blocks(stale.triangles, BLOCK, self._scene.triangle_count)", "()")],
     ),
     "clusters as wide as one of their triangles": (
@@ -68,6 +68,21 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         _TOGETHER,
         "clusters",
         [(_GRID + "together16.h", "planes.p[3] * t0, planes.p[3] * t0", "planes.p[3] * box[80], planes.p[3] * t0")],
+    ),
+    "records written over while entries of them wait": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "entries.h", "+= flushes != flushed || entries.count.data[0] > waiting", "+= 0")],
+    ),
+    "records written over when there is no room for more": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "entries.h", "if (used == entries.clusters)\n            flush();", "used %= entries.clusters;")],
+    ),
+    "records written over that a full list left": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "entries.h", "flushes != flushed || entries", "entries")],
     ),
     "boxes without pads": (
         _TILES,
