@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -90,6 +90,11 @@ def pack(grid: Any, rays: Rays) -> Tiles:
     grid._begin(rays)
     grid._way.pack(rays)
     return tiles(grid)
+
+
+def limit_rays_at_once(grid: Any, count: int) -> None:
+    """Of a pass of several lights that do not rest."""
+    grid.traits = replace(grid.traits, rays_at_once=count)
 
 
 def bins(grid: Any) -> Bins:

@@ -243,6 +243,7 @@ def bin_light(
     first_cluster: int,
     last_cluster: int,
     clusters: wp.array(dtype=int),
+    faces: wp.array(dtype=wp.uint8),
     frame: LightFrame,
     space: LightSpace,
     tiles: Tiles,
@@ -250,7 +251,8 @@ def bin_light(
     entries: EntryList,
     answers: Answers,
 ):
-    """The triangles of some clusters, and the light at ``place``; entries that are left stay in the list."""
+    """The triangles of some clusters on the ``faces`` of each, and the light at ``place``; entries that are left stay
+    in the list."""
     ...
 
 
@@ -264,13 +266,14 @@ def trace_list(tiles: Tiles, entries: EntryList, answers: Answers):
 def bin_wide(
     lights: wp.array(dtype=LightFrame),
     clusters: wp.array(dtype=int),
+    faces: wp.array(dtype=wp.uint8),
     ends: wp.array(dtype=int),
     tiles: Tiles,
     casters: Casters,
     entries: EntryList,
     answers: Answers,
 ):
-    """One thread. ``clusters`` and ``ends`` are those of ``candidates.py``."""
+    """One thread. ``clusters``, ``faces`` and ``ends`` are those of ``candidates.py``."""
     first = int(0)
     slots = 16 * tiles.counts[2]
     for k in range(slots):
@@ -279,7 +282,7 @@ def bin_wide(
         entries.count[k] = 0
     for place in range(tiles.lights):
         light = lights[place]
-        bin_light(place, first, ends[place], clusters, light, space_of(light), tiles, casters, entries, answers)
+        bin_light(place, first, ends[place], clusters, faces, light, space_of(light), tiles, casters, entries, answers)
         first = ends[place]
     trace_list(tiles, entries, answers)
     largest = int(0)

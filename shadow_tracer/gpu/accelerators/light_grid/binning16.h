@@ -57,8 +57,9 @@ struct Binning16 : Together16 {
     }
     // The triangles of some clusters, and the light at `place`; entries that are left stay in the list.
     static inline void light(int place, int first_cluster, int last_cluster, const wp::array_t<int>& clusters,
-                             const LightFrame& frame, const LightSpace& space, const Tiles& tiles,
-                             const Casters& casters, const EntryList& entries, const Answers& answers) {
+                             const wp::array_t<wp::uint8>& faces, const LightFrame& frame, const LightSpace& space,
+                             const Tiles& tiles, const Casters& casters, const EntryList& entries,
+                             const Answers& answers) {
         Binning16 it(tiles, entries, answers);
         const bool aligned = tiles.aligned.data[place] != 0;
         Cluster cluster(casters, frame, space);
@@ -66,10 +67,8 @@ struct Binning16 : Together16 {
         for (int k = first_cluster; k < last_cluster; ++k) {
             cluster.open(clusters.data[k], aligned);
             int record = -1; // of the first of them, if their planes are known
-            for (int face = 0; face < FACES; ++face) {
-                const int number = FACES * place + face;
-                if (!TileGroup::any(tiles, number))
-                    continue;
+            for (int left = faces.data[k]; left; left &= left - 1) {
+                const int face = __builtin_ctz(left), number = FACES * place + face;
                 int some = cluster.front.bound(face, tiles.fit.data[number], space.inverse != 0, seen);
                 if (!some)
                     continue;

@@ -177,6 +177,7 @@ class BlockGrid:
         bounds = context.samples.bounds
         self._candidates = context.shared.take(Candidates, lambda: Candidates(context))
         self._clusters = wp.empty(bounds.max_triangles // CLUSTER + bounds.max_lights, dtype=int, device=device)
+        self._faces = wp.empty(len(self._clusters), dtype=wp.uint8, device=device)
         self._ends = wp.zeros(bounds.max_lights, dtype=int, device=device)
         # What tracing changes of the tiles.
         self._changing = (buffers.tiles.live, buffers.tiles.boxes)
@@ -216,7 +217,7 @@ class BlockGrid:
             turn = wp.vec2i(samples.number, samples.bands)
             inputs = [samples.lights_from(rays.first), turn, self._buffers.tiles, wild]
             inputs += [scene.vertices, scene.triangles, *self._candidates.structs(rays)]
-            return 1, [*inputs, self._clusters, self._ends]
+            return 1, [*inputs, self._clusters, self._faces, self._ends]
 
         self._launch(candidates.find_candidates, self._context.key(rays), prepare)
 
@@ -233,7 +234,7 @@ class BlockGrid:
         samples = self._context.samples
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [samples.lights_from(rays.first), self._clusters, self._ends, self._buffers.tiles]
+            inputs = [samples.lights_from(rays.first), self._clusters, self._faces, self._ends, self._buffers.tiles]
             return 1, [*inputs, self.casters(rays), self._entries, self._context.answers(rays)]
 
         self._launch(binning.bin_wide, self._context.key(rays), prepare)
@@ -245,5 +246,5 @@ class BlockGrid:
         entries = self._entries
         arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
         arrays += (entries.visited, entries.masks, entries.records, entries.first)
-        arrays += (self._clusters, self._ends, *self._kept)
+        arrays += (self._clusters, self._faces, self._ends, *self._kept)
         return sum(int(array.capacity) for array in arrays)

@@ -59,9 +59,10 @@ def list_clusters(
     tiles: Tiles,
     clusters: Clusters,
     found: wp.array(dtype=int),
+    faces: wp.array(dtype=wp.uint8),
 ) -> int:
-    """Store the clusters that may concern the rays of the light at ``place``, ascending, from ``first`` on; returns
-    the end."""
+    """Store the clusters that may concern the rays of the light at ``place``, ascending, from ``first`` on, and the
+    faces on which each may, as bits; returns the end."""
     ...
 
 
@@ -136,6 +137,7 @@ def find_candidates(
     clusters: Clusters,
     all: AllRecords,
     found: wp.array(dtype=int),
+    faces: wp.array(dtype=wp.uint8),
     ends: wp.array(dtype=int),
 ):
     """One thread, the ``turn[0]``-th of ``turn[1]`` bands that do so: boxes, and the clusters of each light of the pass
@@ -143,7 +145,7 @@ def find_candidates(
     make_all_boxes(turn, vertices, triangles, clusters)
     first = int(0)
     for place in range(tiles.lights):
-        first = list_clusters(place, first, lights[place], tiles, clusters, found)
+        first = list_clusters(place, first, lights[place], tiles, clusters, found, faces)
         ends[place] = first
         if wild[1] > 0:
             make_all_records(place, turn, clusters.triangles, lights[place], vertices, triangles, all)
