@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -92,6 +92,11 @@ def pack(grid: Any, rays: Rays) -> Tiles:
     return tiles(grid)
 
 
+def limit_rays_at_once(grid: Any, count: int) -> None:
+    """Of a pass of several lights that do not rest."""
+    grid.traits = replace(grid.traits, rays_at_once=count)
+
+
 def bins(grid: Any) -> Bins:
     """Lists of entries, in the form of CUDA."""
     found: Bins = grid._way._bins
@@ -106,18 +111,18 @@ def clusters(grid: Any) -> np.ndarray:
 
 
 def blocks_made(grid: Any) -> np.ndarray:
-    """(N,) bool: whether the records of each block of 128 triangles have been made, in the form of the CPU."""
+    """(N,) bool: whether there are records of each block of 128 triangles, in the form of the CPU, which makes them for
+    rays outside of the tiles alone."""
     found: np.ndarray = grid._way._candidates._made.numpy() == 2
     return found
 
 
 @dataclass(frozen=True)
 class Binning:
-    """What triangles are held against the boxes of tiles with, see ``light_grid/binning.h``: all that there is in both
-    forms, and what there is in one alone, clusters, where each light's end, and corners, or bins and answers."""
+    """What triangles are held against the boxes of tiles with, see ``light_grid/binning.h``: what there is in one form
+    alone, clusters, where each light's end, and their triangles, or occluders, bins and answers."""
 
     tiles: Tiles
-    occluders: Any
     alone: tuple[Any, ...]
 
 
@@ -131,9 +136,8 @@ def binning(tracer: ShadowTracer, points: Any, light: Any, bias: float) -> Binni
     del way.trace
     (rays,) = taken
     if probe.wide(tracer.device):
-        alone = way._clusters, way._ends, way._candidates.corners(rays)
-        return Binning(tiles(grid), context.occluders(rays), alone)
-    return Binning(tiles(grid), way.occluders(rays), (way._bins, context.answers(rays)))
+        return Binning(tiles(grid), (way._clusters, way._ends, way.casters(rays)))
+    return Binning(tiles(grid), (way.occluders(rays), way._bins, context.answers(rays)))
 
 
 # --- geometry_image ---

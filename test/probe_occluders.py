@@ -64,11 +64,11 @@ def remade(tracer: ShadowTracer, trace: Callable[[], object]) -> dict[str, set[i
     frame unless the light or all of the scene has changed."""
     import warp as wp
 
-    from shadow_tracer.gpu.accelerators.light_grid.candidates import CandidateRecords
+    from shadow_tracer.gpu.accelerators.light_grid.candidates import Candidates
     from shadow_tracer.gpu.occluders.corners import Corners
 
     context, sentinel = probe.context(tracer), 7.25
-    boxes, corners = (context.shared.find(kind) for kind in (CandidateRecords, Corners))
+    boxes, corners = (context.shared.find(kind) for kind in (Candidates, Corners))
     # The array, and how many of its numbers belong to a light and to what is counted.
     arrays = {"records": (context.records.memory, 16 * context.records.stride, 16 * 128)}
     if boxes is not None:

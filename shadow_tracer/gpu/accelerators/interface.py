@@ -24,7 +24,7 @@ class Rays:
 
     Attributes:
         lights: at most ``Traits.lights_at_once`` of them; none if it is the query *mask* that is asked.
-        keep: what is made of the rays may be asked for ``again``.
+        keep: the frame has no other rays, and what is made of them may be asked for ``again``.
         again: rays and states are what they were when they were traced last, with ``keep``, and nothing but the scene
             has changed. Both are only asked of an accelerator that ``keeps_rays``.
         mask: what the query *mask* asks of their samples.
@@ -97,6 +97,8 @@ class Traits:
 
     Attributes:
         lights_at_once: the most lights of a pass.
+        rays_at_once: rays of a pass of several lights, beyond which one pass after the other is faster; unless they may
+            be kept.
         recordable: whether ``show`` may be recorded and replayed: it launches kernels and reads nothing back, and
             nothing it launches depends on more than the numbers of samples and triangles and on what
             ``TriangleRecords.plan`` has said.
@@ -107,6 +109,7 @@ class Traits:
     """
 
     lights_at_once: int = 1
+    rays_at_once: int = 1 << 62
     recordable: bool = False
     keeps_rays: bool = False
     queries: tuple[Query, ...] = (ANY_HIT,)

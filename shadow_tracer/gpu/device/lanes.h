@@ -4,10 +4,12 @@
 #if LANES == 1
 typedef float REAL;
 typedef int MASK;
+typedef double WIDE(Double);
 #else
 typedef float REAL __attribute__((ext_vector_type(LANES), aligned(4)));
 typedef int MASK __attribute__((ext_vector_type(LANES)));
 typedef bool WIDE(Bit) __attribute__((ext_vector_type(LANES)));
+typedef double WIDE(Double) __attribute__((ext_vector_type(LANES)));
 #endif
 struct WIDE(Lanes) {
     enum { ALL = (1 << LANES) - 1 };
@@ -34,6 +36,13 @@ struct WIDE(Lanes) {
     static inline REAL absolute(REAL x) {
 #if LANES == 1
         return fabsf(x);
+#else
+        return __builtin_elementwise_abs(x);
+#endif
+    }
+    static inline WIDE(Double) absolute(WIDE(Double) x) {
+#if LANES == 1
+        return fabs(x);
 #else
         return __builtin_elementwise_abs(x);
 #endif

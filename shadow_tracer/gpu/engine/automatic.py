@@ -3,13 +3,16 @@
 
 Each candidate has a rough law of its cost: for n rays, T triangles and L lights
 
-    light_grid    L (a n + b T), and L c T where records are to be made
-    mesh_bvh      d T where its tree is to be built or refitted, and L e n log2 T
+    light_grid    L (a n + b T), and g T where boxes are to be made
+    mesh_bvh      L e n log2 T, and d T where its tree is to be built or refitted, and L c T where records are
     brute_force   L f n T
 
 The law is multiplied by a factor that is learned: for each kind of frame (what has changed, and n, T and L to a power
 of two) the ratio of measured and lawful cost, a running mean over the frames that the candidate traced; for a kind of
-which it has traced none, the factor of the nearest kind it has; before any, that of :meth:`Chooser.calibrated`, or 1.
+which it has traced none, the factor of the nearest kind it has. Before any, that of :meth:`Chooser.calibrated`, or 1,
+times what other candidates have been found to take of this kind, in parts of what they should, to the power of 0.7:
+what is hard for one mostly is for all, and a busy machine always.
+
 The least expected cost wins; the current pipeline is kept until another is expected to take 15 percent less: changing
 costs a frame in which things are made again. A candidate that is better than thought would never show it, so a near
 second is tried now and then, for two frames.
@@ -38,15 +41,18 @@ BRUTE_FORCE: Names = ("brute_force", "filtered")
 CANDIDATES = (LIGHT_GRID, MESH_BVH, BRUTE_FORCE)
 
 # Nanoseconds on one core of a Xeon of 2020; only their ratios matter before anything has been measured.
-_RAY, _TRIANGLE, _RECORD = 90.0, 25.0, 45.0
+_RAY, _TRIANGLE, _BOX, _RECORD = 90.0, 40.0, 8.0, 45.0
 _BUILD, _REFIT, _STEP = 350.0, 60.0, 18.0
 _PAIR = 0.9
 _OVERHEAD = 0.3e6
 
 _ADVANTAGE = 0.85  # another is taken if it is expected to take less than this share of the present one's time
-_NEAR = 1.5  # a second within this is tried
+_NEAR, _NEAR_AT_REST = 1.5, 2.0  # a second within this is tried
 _FIRST_TRIAL, _NEXT_TRIAL = 20, 400  # frames of a kind before a second is tried, and from trial to trial
+_TRIAL_AT_REST = 2  # the first, if the scene rests, where the law says least and trying costs least
 _MEMORY = 0.25  # weight of the last frame in the running mean
+_ALIKE = 0.7  # power of what a kind of frame takes more than the law has it, for candidates that have not traced it
+_NEIGHBOUR = 3  # distance of kinds that are taken for each other
 
 
 @dataclass(frozen=True)
@@ -76,8 +82,7 @@ def lawful(names: Names, frame: Situation) -> float:
     """Milliseconds by the rough law."""
     n, t, lights = frame.rays, max(frame.triangles, 1), frame.lights
     if names == LIGHT_GRID:
-        fresh = frame.change > 0 or frame.new_lights
-        cost = lights * (_RAY * n + _TRIANGLE * t + (_RECORD * t if fresh else 0.0))
+        cost = lights * (_RAY * n + _TRIANGLE * t) + (_BOX * t if frame.change > 0 else 0.0)
     elif names == MESH_BVH:
         build = (0.0, _REFIT, _BUILD)[frame.change] * t
         fresh = frame.change > 0 or frame.new_lights
@@ -100,6 +105,7 @@ class Chooser:
         self._frames: dict[tuple[int, ...], int] = {}
         self._trial: dict[tuple[int, ...], int] = {}
         self._on_trial: dict[tuple[int, ...], Names] = {}
+        self._trying = False
 
     @property
     def chosen(self) -> Names:
@@ -123,11 +129,12 @@ class Chooser:
         costs = {names: self.expected(names, frame) for names in self.candidates}
         ranking = sorted(self.candidates, key=costs.__getitem__)
         best = ranking[0]
-        if costs[best] >= _ADVANTAGE * costs[self._chosen]:
+        # Who was on trial is not the present one: it may have been tried before anything was known of that.
+        if not self._trying and costs[best] >= _ADVANTAGE * costs[self._chosen]:
             best = self._chosen
         number = self._frames[frame.kind] = self._frames.get(frame.kind, 0) + 1
         tried = self._second_to_try(frame, ranking, costs, best, number)
-        self._chosen = tried or best
+        self._chosen, self._trying = tried or best, tried is not None
         others = ", ".join(f"{'/'.join(names)} {costs[names]:.3g}" for names in ranking if names != self._chosen)
         why = "tried, as it may be better than thought; expected" if tried else "expected"
         self._reason = f"{'/'.join(self._chosen)}: {why} {costs[self._chosen]:.3g} ms ({others})"
@@ -149,23 +156,28 @@ class Chooser:
         self._base[names] = milliseconds / lawful(names, frame)
 
     def _factor(self, names: Names, kind: tuple[int, ...]) -> float:
+        found = self._learned(names, kind)
+        if found is not None:
+            return found
+        base, known = self._base.get(names), self._factors[names]
+        if base is None and known:
+            return known[min(known, key=lambda other: _distance(other, kind))]
+        learned = ((one, self._learned(one, kind)) for one in self.candidates)
+        harder = [factor / self._base.get(one, 1.0) for one, factor in learned if factor is not None]
+        return (1.0 if base is None else base) * (min(harder) ** _ALIKE if harder else 1.0)
+
+    def _learned(self, names: Names, kind: tuple[int, ...]) -> float | None:
+        """The factor of a kind of frame, or of one that is much like it."""
         known = self._factors[names]
-        if kind in known:
-            return known[kind]
-        if not known:
-            return self._base.get(names, 1.0)
-
-        def distance(other: tuple[int, ...]) -> int:
-            # What changed matters most: mesh_bvh builds or does not.
-            return 8 * (other[0] != kind[0]) + sum(abs(a - b) for a, b in zip(other, kind, strict=True))
-
-        nearest = min(known, key=distance)
-        return known[nearest] if distance(nearest) <= 3 else self._base.get(names, known[nearest])
+        if kind in known or not known:
+            return known.get(kind)
+        nearest = min(known, key=lambda other: _distance(other, kind))
+        return known[nearest] if _distance(nearest, kind) <= _NEIGHBOUR else None
 
     def _second_to_try(
         self, frame: Situation, ranking: list[Names], costs: dict[Names, float], best: Names, number: int
     ) -> Names | None:
-        due = self._trial.setdefault(frame.kind, _FIRST_TRIAL)
+        due = self._trial.setdefault(frame.kind, _FIRST_TRIAL if frame.change else _TRIAL_AT_REST)
         if number < due or len(ranking) < 2:
             return None
         if number == due:
@@ -174,4 +186,10 @@ class Chooser:
             # A second frame: in the first it may have had to catch up, which teaches nothing.
             second = self._on_trial.pop(frame.kind, best)  # none if the first frame of the trial did not end
             self._trial[frame.kind] = due + _NEXT_TRIAL
-        return second if second != best and costs[second] <= _NEAR * costs[best] else None
+        near = _NEAR if frame.change else _NEAR_AT_REST
+        return second if second != best and costs[second] <= near * costs[best] else None
+
+
+def _distance(one: tuple[int, ...], other: tuple[int, ...]) -> int:
+    # What changed matters most: mesh_bvh builds or does not.
+    return 8 * (one[0] != other[0]) + sum(abs(a - b) for a, b in zip(one, other, strict=True))

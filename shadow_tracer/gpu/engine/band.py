@@ -54,6 +54,7 @@ class Band:
         self.busy = 0.0
         self._kept = KeptRays(self.samples) if keep and self.pipeline.traits.keeps_rays else None
         self._again = False
+        self._asked: tuple[int, Sequence[LightFrame]] = (-1, ())
         bounds, device = self.samples.bounds, self.samples.device
         # Of a light that a mask is asked for.
         self._points = wp.empty(
@@ -87,6 +88,13 @@ class Band:
                 if source.normals:
                     normals.displace(depth, samples)
 
+    def asked_again(self, lights: Sequence[LightFrame]) -> bool:
+        """Whether samples and lights are those of the call before: what is made of their rays may be worth keeping."""
+        revision, before = self._asked
+        self._asked = self.samples.revision, lights
+        same = len(lights) == len(before) and all(one is other for one, other in zip(lights, before, strict=True))
+        return same and revision == self.samples.revision
+
     def aim(self, lights: Sequence[LightFrame]) -> None:
         """Make what depends on scene and lights alone. It belongs to all bands: one of them does it."""
         if self.context.scene.triangle_count:
@@ -99,9 +107,11 @@ class Band:
             return
         if self._kept is None:
             self.samples.renew()  # the rays of another band in the same buffers are overwritten
-        before = self._kept.rays_so_far() if self._kept is not None else 0
+        elif not rays.keep:
+            self._kept.forget()
+        before = self._kept.rays_so_far() if self._kept is not None and rays.keep else 0
         self._project(rays)
-        if self._kept is not None:
+        if self._kept is not None and rays.keep:
             self._kept.keep(rays.lights, before)
 
     def _project(self, rays: Rays, counted: bool = False) -> None:
@@ -113,9 +123,9 @@ class Band:
         """Find their occluders."""
         if self.context.scene.triangle_count == 0:
             return
-        shown = replace(rays, keep=True, again=self._again) if self._kept is not None else rays
-        self.pipeline.show(shown, ANY_HIT)
-        if self._kept is not None:
+        keep = self._kept is not None and rays.keep
+        self.pipeline.show(replace(rays, keep=keep, again=self._again), ANY_HIT)
+        if self._kept is not None and keep:
             self._kept.structured()
         self._decide(rays)
 

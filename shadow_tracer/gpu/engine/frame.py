@@ -298,14 +298,17 @@ class FrameTracer:
         return self._planes.read(lights)
 
     def _passes(self, working: Sequence[Band], light_frames: Sequence[light_frame.LightFrame]) -> list[Rays]:
-        """As many lights together as the pipeline takes and as there is room for."""
-        together = min(
-            self._pipeline.traits.lights_at_once,
-            len(light_frames),
-            *(band.samples.bounds.max_rays // max(band.samples.count, 1) for band in working),
-            self._context.records.room(),
-        )
-        return [Rays(tuple(light_frames[first : first + together])) for first in range(0, len(light_frames), together)]
+        """As many lights together as the pipeline takes and as there is room for; of the pass of a frame that has but
+        one the rays may be kept."""
+        traits, count = self._pipeline.traits, max(1, *(band.samples.count for band in working))
+        together = min(traits.lights_at_once, len(light_frames), self._context.records.room())
+        together = min(together, *(band.samples.bounds.max_rays // max(band.samples.count, 1) for band in working))
+        again = [band.asked_again(light_frames) for band in working]
+        if not all(again):
+            together = min(together, max(1, traits.rays_at_once // count))
+        keep = together == len(light_frames)
+        firsts = range(0, len(light_frames), together)
+        return [Rays(tuple(light_frames[first : first + together]), keep) for first in firsts]
 
     def _launch(
         self, working: list[Band], passes: Sequence[Rays], source: Source | None, stale: Sequence[Changed]

@@ -6,7 +6,7 @@ derives the bounds. A triangle that casts nothing gets a record that says no to 
 finite, no area, or is seen exactly edge-on (``degenerate``), or its front faces the light and front faces are culled.
 
 CUDA takes one triangle per thread (``prepare_triangles``). On the CPU Warp's loops are scalar, so there a thread takes
-a block of triangles and the compiler puts the loops over them into vector registers (``prepare_block``).
+a block of triangles, sixteen at a time in vector registers (``prepare_block``).
 
 Those that cast nothing are counted for each block of 128 triangles, so that the records of some blocks can be made
 again; triangles of gaps (``occluders/world.py``) are neither degenerate nor culled.
@@ -32,10 +32,18 @@ SETUP_ERROR = 2.0**-46
 LARGEST_OFFSET = 1.0e38
 # The vertex that is no mesh's, and not a number: the corners of a triangle in a gap (``occluders/world.py``).
 GAP_VERTEX = 0
-native.constants(GAP_VERTEX=GAP_VERTEX)
+native.constants(
+    GAP_VERTEX=GAP_VERTEX,
+    FILTER_FACTOR=FILTER_FACTOR,
+    SLOPE_FACTOR=SLOPE_FACTOR,
+    OFFSET_FACTOR=OFFSET_FACTOR,
+    U32=U32,
+    SETUP_ERROR=SETUP_ERROR,
+    LARGEST_OFFSET=LARGEST_OFFSET,
+)
 
 
-@native.func_native("exact/record.h", calls="Record::make")
+@native.func_native("exact/one_record.h", calls="OneRecord::make")
 def make_record(
     i: int,
     frame: LightFrame,
@@ -55,7 +63,7 @@ def make_record(
     ...
 
 
-# Triangles per thread of the vectorised loops; their corners and planes stay in the first-level cache.
+# Triangles per thread of the CPU.
 BLOCK = 128
 native.constants(RECORDS_BLOCK=BLOCK)
 
@@ -123,16 +131,12 @@ def prepare_block(
     triangles: wp.array(dtype=wp.vec3i),
     first_record: int,
     records: wp.array2d(dtype=wp.vec4),
-    first_corner: int,
-    corners: wp.array(dtype=float),
     cull: int,
     row: int,
     silent: wp.array(dtype=wp.vec2i),
 ):
-    """``prepare_triangles`` for up to 128 triangles from ``first`` on, vectorised over triangles. Records go to
-    ``first_record`` on and, if there are any ``corners``, theirs to ``first_corner`` on (counted in triangles, a
-    multiple of 16): [sixteen][corner][U V W Z][16], each within 2^-24 relative and 2^-46 (1 + its distance from the
-    anchor) of exact. ``silent[row]`` becomes how many of them are degenerate and culled."""
+    """``prepare_triangles`` for up to 128 triangles from ``first`` on, sixteen at a time, with records from
+    ``first_record`` on. ``silent[row]`` becomes how many of them are degenerate and culled."""
     ...
 
 
@@ -151,7 +155,6 @@ def prepare_blocks(
     """A block of triangles per thread, those from ``first_block`` on, of ``count`` triangles in all."""
     block = first_block + wp.tid()
     first = block * BLOCK
-    no_corners = wp.array(ptr=wp.uint64(0), shape=(0,), dtype=float)
     prepare_block(
         first,
         count,
@@ -166,8 +169,6 @@ def prepare_blocks(
         triangles,
         first,
         records,
-        0,
-        no_corners,
         cull,
         block,
         silent,

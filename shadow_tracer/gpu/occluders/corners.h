@@ -5,9 +5,9 @@ struct Corners {
                              const wp::array_t<wp::vec4>& out) {
         const double* in = (const double*)vertices.data;
         float* to = (float*)out.data;
-        const Axes axes = Axes::of(frame);
+        const Axes1 axes = Axes1::of(frame);
         for (int i = first; i < last; ++i) {
-            const Place at = axes.at(in[3 * (size_t)i], in[3 * (size_t)i + 1], in[3 * (size_t)i + 2]);
+            const Place1 at = axes.at(in[3 * (size_t)i], in[3 * (size_t)i + 1], in[3 * (size_t)i + 2]);
             to[4 * (size_t)i] = (float)at.u;
             to[4 * (size_t)i + 1] = (float)at.v;
             to[4 * (size_t)i + 2] = (float)at.w;

@@ -75,6 +75,18 @@ def test_a_wrong_calibration_is_corrected(wrong: float) -> None:
     assert spent <= 1.3 * 2000 * min(costs.values()), "never slower than 1.3 times the best"
 
 
+@pytest.mark.parametrize(("harder", "tried"), [(4.0, False), (30.0, True)])
+def test_what_is_hard_for_one_is_expected_to_be_for_others(harder: float, tried: bool) -> None:
+    """A scene, or a busy machine, is first met by one of them. Only one that finds it very hard lets others try."""
+    kind = Situation(1, 65_536, 128_000, 1, True)
+    chooser, base = Chooser(), {LIGHT_GRID: 28.0, MESH_BVH: 46.0, BRUTE_FORCE: 1e4}
+    for names, cost in base.items():
+        chooser.calibrated(names, kind, cost)
+    costs = {LIGHT_GRID: harder * 28.0, MESH_BVH: 5.0 * 46.0, BRUTE_FORCE: 1e4}
+    chosen = play(chooser, kind, costs, 15)
+    assert chosen == [LIGHT_GRID] + 14 * [MESH_BVH if tried else LIGHT_GRID]
+
+
 def test_costs_that_change_are_followed() -> None:
     """The rays leave the light grid's favourite view: within a few frames the other takes over, and gives back."""
     chooser = Chooser()
@@ -127,6 +139,24 @@ def test_a_trial_that_shows_nothing_new_ends_after_two_frames() -> None:
         chooser.calibrated(names, _MOVING, costs[names])
     chosen = play(chooser, _MOVING, costs, 1000)
     assert [k for k, names in enumerate(chosen, start=1) if names != LIGHT_GRID] == [20, 21, 420, 421, 820, 821]
+
+
+def test_a_scene_that_rests_is_tried_at_once() -> None:
+    """By the law they take the same, and the measured first is the slower one."""
+    chooser, kind = Chooser(), Situation(0, 16_384, 70_000, 1)
+    costs = {LIGHT_GRID: 7.0, MESH_BVH: 5.0, BRUTE_FORCE: 5000.0}
+    assert play(chooser, kind, costs, 30) == [LIGHT_GRID] + [MESH_BVH] * 29
+    chooser = Chooser()
+    chosen = play(chooser, kind, {**costs, MESH_BVH: 9.0}, 30)
+    assert chosen == [LIGHT_GRID] + [MESH_BVH] * 2 + [LIGHT_GRID] * 27
+
+
+def test_who_was_tried_first_does_not_stay_unless_it_is_better() -> None:
+    """The first frame of all loads kernels and teaches nothing, so the second is known before the present one is."""
+    chooser, kind = Chooser(), Situation(0, 16_384, 70_000, 1)
+    assert chooser.choose(kind) == LIGHT_GRID
+    chosen = play(chooser, kind, {LIGHT_GRID: 4.7, MESH_BVH: 5.2, BRUTE_FORCE: 5000.0}, 30)
+    assert chosen == [MESH_BVH] * 2 + [LIGHT_GRID] * 28
 
 
 def test_a_trial_that_is_won_at_once_does_not_try_the_loser() -> None:

@@ -42,7 +42,6 @@ def _prepare(
     counts: wp.array(dtype=wp.vec2i),
 ):
     first = wp.tid() * setup.BLOCK
-    none = wp.array(ptr=wp.uint64(0), shape=(0,), dtype=float)
     setup.prepare_block(
         first,
         count,
@@ -57,8 +56,6 @@ def _prepare(
         triangles,
         first,
         records,
-        0,
-        none,
         0,
         wp.tid(),
         counts,

@@ -82,6 +82,11 @@ class _World:
         return {k: v for k, v in {"triangles": triangles, "local": local, "placed": placed}.items() if v}
 
 
+def _keeps_records(tracer: ShadowTracer) -> bool:
+    """The grid of the CPU makes them for rays outside of its tiles alone."""
+    return not probe.wide(tracer.device) or tracer.variant != "packed"
+
+
 Make = Callable[..., _World]
 
 
@@ -148,7 +153,10 @@ def test_only_what_a_marker_touches_is_made_again(world: _World, first: str) -> 
     for number, (step, blocks, vertices) in enumerate(steps):
         step()
         found = probe_occluders.remade(tracer, world.states)
-        assert found["records"] == blocks, number
+        # Which the grid of the CPU needs for rays outside of its tiles alone.
+        assert found["records"] == (set() if probe.wide(tracer.device) and tracer.variant == "packed" else blocks), (
+            number
+        )
         assert found.get("vertices", vertices) == vertices, number
         assert found.get("boxes", set()) <= {each // 2 for each in blocks}, number
     scene.move("terrain", geometry.pose_of(np.eye(3), (0.0, 0.0, -0.1)))
@@ -167,7 +175,8 @@ def test_recorded_frames_make_what_a_marker_touches(make: Make) -> None:
         world.copied()
     assert probe.recordings(world.tracer) == 1
     world.scene.move("marker", np.eye(4))
-    assert probe_occluders.remade(world.tracer, world.states)["records"] == {_TERRAIN // 128}
+    made = {_TERRAIN // 128} if _keeps_records(world.tracer) else set()
+    assert probe_occluders.remade(world.tracer, world.states)["records"] == made
     for at in (0.4, -0.3, 0.1):
         world.scene.deform("terrain", _terrain(2)[0])
         world.scene.move("marker", geometry.pose_of(np.eye(3), (at, 0.0, 0.0)))

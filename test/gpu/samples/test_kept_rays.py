@@ -9,6 +9,7 @@ from typing import Any
 import geometry
 import numpy as np
 import probe
+import probe_accelerators
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
@@ -94,6 +95,22 @@ def test_a_mesh_moves_in_front_of_what_rests(projected: list[int]) -> None:
         mine.append(len(projected) - before)
         pair.check(depth, _CAMERA, _LIGHTS, 0.01)
     assert mine == [3, 0, 0, 0]
+
+
+@pytest.mark.wide
+def test_lights_of_many_rays_go_one_after_the_other_until_they_rest(projected: list[int]) -> None:
+    """And what was kept before is not taken for what they have left in its place."""
+    rng = np.random.default_rng(494)
+    pair, depth = _Pair("light_grid", _bounds(), 1), _depth(rng)
+    probe_accelerators.limit_rays_at_once(probe.pipeline(pair.tracer), 2 * _COUNT - 1)
+    pair.put(*_mesh(rng))
+    mine = []
+    for lights in (*4 * (_LIGHTS,), _LIGHTS[:1], _LIGHTS[:2], *2 * (_LIGHTS[:1],), _LIGHTS):
+        before = len(projected)
+        found = pair.tracer.trace(depth.copy(), _CAMERA, lights, bias=0.01)
+        mine.append((found.counters["passes"], len(projected) - before))
+        assert found.differing(pair.oracle.trace(depth, _CAMERA, lights, bias=0.01)) == 0
+    assert mine == [(3, 3), (1, 3), *2 * [(1, 0)], (1, 1), (2, 1), (1, 1), (1, 0), (3, 2)]
 
 
 @pytest.mark.wide

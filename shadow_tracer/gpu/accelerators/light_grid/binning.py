@@ -303,32 +303,49 @@ class EntryList:
     sorted: wp.array(dtype=int)
     start: wp.array(dtype=int)  # per tile
     total: wp.array(dtype=int)  # entries of each tile so far
-    count: wp.array(dtype=int)  # [entries waiting, times that it was full]
+    count: wp.array(dtype=int)  # [entries waiting, times that it was full, clusters that have records]
     visited: wp.array(dtype=int)  # by a cluster: tiles; blocks, from number tile_places on
     masks: wp.array(dtype=int)  # of each tile that is visited: the triangles that touch it, as bits
+    clusters: int  # that there is room for records of
+    records: wp.array(dtype=float)  # [cluster][16 triangles][16]
+    first: wp.array(dtype=int)  # triangle of each cluster
+
+
+@wp.struct
+class Casters:
+    """Triangles that may cast shadows, to be set up sixteen at a time. Of each cluster it is counted how many are found
+    to cast nothing, because they are degenerate, and because they are culled; lights are ``silent_apart`` clusters
+    apart."""
+
+    count: int
+    cull: int
+    silent_apart: int
+    silent: wp.array(dtype=wp.uint8)  # [cluster][2]
+    vertices: wp.array(dtype=wp.vec3d)
+    triangles: wp.array(dtype=wp.vec3i)
 
 
 @native.func_native("accelerators/light_grid/binning16.h", calls="Binning16::light")
 def bin_light(
     place: int,
-    first_record: int,
-    first_corner: int,
     first_cluster: int,
     last_cluster: int,
     clusters: wp.array(dtype=int),
-    corners: wp.array(dtype=float),
+    faces: wp.array(dtype=wp.uint8),
+    frame: LightFrame,
     space: LightSpace,
     tiles: Tiles,
-    occluders: Occluders,
+    casters: Casters,
     entries: EntryList,
     answers: Answers,
 ):
-    """The triangles of some clusters, and the light at ``place``; entries that are left stay in the list."""
+    """The triangles of some clusters on the ``faces`` of each, and the light at ``place``; entries that are left stay
+    in the list."""
     ...
 
 
 @native.func_native("accelerators/light_grid/entries.h", calls="Entries::finish")
-def trace_list(tiles: Tiles, occluders: Occluders, entries: EntryList, answers: Answers):
+def trace_list(tiles: Tiles, entries: EntryList, answers: Answers):
     """Trace what is in the list."""
     ...
 
@@ -337,39 +354,25 @@ def trace_list(tiles: Tiles, occluders: Occluders, entries: EntryList, answers: 
 def bin_wide(
     lights: wp.array(dtype=LightFrame),
     clusters: wp.array(dtype=int),
+    faces: wp.array(dtype=wp.uint8),
     ends: wp.array(dtype=int),
-    corners_apart: int,
-    corners: wp.array(dtype=float),
     tiles: Tiles,
-    occluders: Occluders,
+    casters: Casters,
     entries: EntryList,
     answers: Answers,
 ):
-    """One thread. ``clusters``, ``ends`` and ``corners`` are those of ``candidates.py``; corners of a light lie
-    ``corners_apart`` triangles behind those of the one before."""
+    """One thread. ``clusters``, ``faces`` and ``ends`` are those of ``candidates.py``."""
     first = int(0)
     slots = 16 * tiles.counts[2]
     for k in range(slots):
         entries.total[k] = 0
-    entries.count[0] = 0
-    entries.count[1] = 0
+    for k in range(3):
+        entries.count[k] = 0
     for place in range(tiles.lights):
-        bin_light(
-            place,
-            place * occluders.records_apart,
-            place * corners_apart,
-            first,
-            ends[place],
-            clusters,
-            corners,
-            space_of(lights[place]),
-            tiles,
-            occluders,
-            entries,
-            answers,
-        )
+        light = lights[place]
+        bin_light(place, first, ends[place], clusters, faces, light, space_of(light), tiles, casters, entries, answers)
         first = ends[place]
-    trace_list(tiles, occluders, entries, answers)
+    trace_list(tiles, entries, answers)
     largest = int(0)
     for k in range(slots):
         largest = wp.max(largest, entries.total[k])

@@ -1,14 +1,14 @@
 // cpu
-// needs: accelerators/light_grid/together16.h
+// needs: accelerators/light_grid/together16.h accelerators/light_grid/cluster.h
 // constants: FACES NODES_VISITED ENTRIES
-// arguments: LightSpace space, Tiles tiles, Occluders occluders, EntryList entries, Answers answers
+// arguments: LightFrame frame, LightSpace space, Tiles tiles, Casters casters, EntryList entries, Answers answers
 // Triangles into tiles, sixteen triangles and sixteen boxes at a time: the binning of one thread for all triangles.
 struct Binning16 : Together16 {
     // A triangle that touches fewer columns is small: its bounds say nearly all.
     enum { FEW_COLUMNS = 4 };
 
-    inline Binning16(const Tiles& tiles, const Occluders& occluders, const EntryList& entries, const Answers& answers)
-        : Together16(tiles, occluders, entries, answers) {}
+    inline Binning16(const Tiles& tiles, const EntryList& entries, const Answers& answers)
+        : Together16(tiles, entries, answers) {}
     inline int meets(const wp::array_t<float>& boxes, int number, int& covered) {
         nodes += 16;
         return side.meets(TileBox::at(boxes, number), covered);
@@ -56,25 +56,20 @@ struct Binning16 : Together16 {
         }
     }
     // The triangles of some clusters, and the light at `place`; entries that are left stay in the list.
-    static inline void light(int place, int first_record, int first_corner, int first_cluster, int last_cluster,
-                             const wp::array_t<int>& clusters, const wp::array_t<float>& corners,
-                             const LightSpace& space, const Tiles& tiles, const Occluders& occluders,
-                             const EntryList& entries, const Answers& answers) {
-        Binning16 it(tiles, occluders, entries, answers);
+    static inline void light(int place, int first_cluster, int last_cluster, const wp::array_t<int>& clusters,
+                             const wp::array_t<wp::uint8>& faces, const LightFrame& frame, const LightSpace& space,
+                             const Tiles& tiles, const Casters& casters, const EntryList& entries,
+                             const Answers& answers) {
+        Binning16 it(tiles, entries, answers);
         const bool aligned = tiles.aligned.data[place] != 0;
-        Front16 front;
-        Planes16 planes;
+        Cluster cluster(casters, frame, space);
         Seen16 seen;
         for (int k = first_cluster; k < last_cluster; ++k) {
-            const int first = 16 * clusters.data[k], left = occluders.count - first, count = left < 16 ? left : 16;
-            front.corners.load(corners.data + 12 * (size_t)(first_corner + first));
-            front.open(0xFFFF >> (16 - count), aligned);
-            bool taken = false;
-            for (int face = 0; face < FACES; ++face) {
-                const int number = FACES * place + face;
-                if (!TileGroup::any(tiles, number))
-                    continue;
-                int some = front.bound(face, tiles.fit.data[number], space.inverse != 0, seen);
+            cluster.open(clusters.data[k], aligned);
+            int record = -1; // of the first of them, if their planes are known
+            for (int left = faces.data[k]; left; left &= left - 1) {
+                const int face = __builtin_ctz(left), number = FACES * place + face;
+                int some = cluster.front.bound(face, tiles.fit.data[number], space.inverse != 0, seen);
                 if (!some)
                     continue;
                 const TileGroup group(tiles, number);
@@ -83,16 +78,19 @@ struct Binning16 : Together16 {
                 some &= ~close;
                 if (!visited && !some)
                     continue;
-                if (!taken)
-                    planes.take(it.record(first_record + first), count, space);
-                taken = true;
-                it.enter_all(planes, face, visited, first_record + first);
-                for (some &= ~planes.silent; some; some &= some - 1) {
+                if (record < 0) {
+                    record = it.open_records(cluster.first);
+                    cluster.take(place, it.record(record));
+                }
+                it.enter_all(cluster.planes, face, visited, record);
+                for (some &= ~cluster.planes.silent; some; some &= some - 1) {
                     const int j = __builtin_ctz(some);
-                    it.side.take(planes, seen, face, j);
-                    it.visit(group, first_record + first + j);
+                    it.side.take(cluster.planes, seen, face, j);
+                    it.visit(group, record + j);
                 }
             }
+            if (record >= 0)
+                it.close_records();
         }
         answers.counters.data[NODES_VISITED] += it.nodes;
         answers.counters.data[ENTRIES] += it.entered;

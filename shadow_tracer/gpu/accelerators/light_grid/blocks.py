@@ -10,7 +10,7 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.admission import Admission
 from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.light_grid import binning, candidates
-from shadow_tracer.gpu.accelerators.light_grid.candidates import CandidateRecords
+from shadow_tracer.gpu.accelerators.light_grid.candidates import Candidates
 from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     ALL_BLOCKS,
     ALL_COLUMNS,
@@ -34,13 +34,15 @@ from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES, space_of
-from shadow_tracer.gpu.exact.records import BLOCK
 from shadow_tracer.gpu.occluders.clusters import CLUSTER
 
 # Entries that are gathered on the CPU before they are traced, per place for a tile.
 _ENTRIES_PER_TILE = 2
 # Elements behind the last that a list without branches may write.
 _AHEAD = 16
+# Clusters of which entries wait, as a part of these, and the most and the least of them: 1 KB each.
+_ENTRIES_PER_CLUSTER = 32
+_MOST_CLUSTERS, _LEAST_CLUSTERS = 512, 64
 
 
 @native.func_native("accelerators/light_grid/packing16.h", calls="Packing16::measure")
@@ -164,14 +166,18 @@ class BlockGrid:
         entries.sorted = wp.empty(entries.capacity, dtype=int, device=device)
         entries.start = wp.empty(places + 1, dtype=int, device=device)
         entries.total = wp.empty(places, dtype=int, device=device)
-        entries.count = wp.zeros(2, dtype=int, device=device)
+        entries.count = wp.zeros(3, dtype=int, device=device)
         entries.tile_places = places + _AHEAD
         entries.visited = wp.empty(places + buffers.most_blocks + 2 * _AHEAD, dtype=int, device=device)
         entries.masks = wp.empty(places, dtype=int, device=device)
+        entries.clusters = min(_MOST_CLUSTERS, max(_LEAST_CLUSTERS, entries.capacity // _ENTRIES_PER_CLUSTER))
+        entries.records = wp.empty(entries.clusters * CLUSTER * 16, dtype=float, device=device)
+        entries.first = wp.empty(entries.clusters, dtype=int, device=device)
         self._entries = entries
         bounds = context.samples.bounds
-        self._candidates = context.shared.take(CandidateRecords, lambda: CandidateRecords(context))
+        self._candidates = context.shared.take(Candidates, lambda: Candidates(context))
         self._clusters = wp.empty(bounds.max_triangles // CLUSTER + bounds.max_lights, dtype=int, device=device)
+        self._faces = wp.empty(len(self._clusters), dtype=wp.uint8, device=device)
         self._ends = wp.zeros(bounds.max_lights, dtype=int, device=device)
         # What tracing changes of the tiles.
         self._changing = (buffers.tiles.live, buffers.tiles.boxes)
@@ -211,30 +217,34 @@ class BlockGrid:
             turn = wp.vec2i(samples.number, samples.bands)
             inputs = [samples.lights_from(rays.first), turn, self._buffers.tiles, wild]
             inputs += [scene.vertices, scene.triangles, *self._candidates.structs(rays)]
-            return 1, [*inputs, self._clusters, self._ends]
+            return 1, [*inputs, self._clusters, self._faces, self._ends]
 
         self._launch(candidates.find_candidates, self._context.key(rays), prepare)
+
+    def casters(self, rays: Rays) -> binning.Casters:
+        """The triangles of a pass."""
+        context = self._context
+        casters = binning.Casters()
+        casters.count, casters.cull = context.scene.triangle_count, int(context.records.front_face_culling)
+        casters.silent_apart, casters.silent = self._candidates.counts(rays)
+        casters.vertices, casters.triangles = context.scene.vertices, context.scene.triangles
+        return casters
 
     def trace(self, rays: Rays) -> None:
         samples = self._context.samples
 
         def prepare() -> tuple[int, list[Any]]:
-            apart = BLOCK * self._context.records.blocks
-            inputs = [
-                samples.lights_from(rays.first),
-                self._clusters,
-                self._ends,
-                apart,
-                self._candidates.corners(rays),
-            ]
-            inputs += [self._buffers.tiles, self._context.occluders(rays), self._entries, self._context.answers(rays)]
-            return 1, inputs
+            inputs = [samples.lights_from(rays.first), self._clusters, self._faces, self._ends, self._buffers.tiles]
+            return 1, [*inputs, self.casters(rays), self._entries, self._context.answers(rays)]
 
         self._launch(binning.bin_wide, self._context.key(rays), prepare)
+
+    def silent(self, light: LightFrame) -> tuple[int, int]:
+        return self._candidates.silent(light)
 
     def nbytes(self) -> int:
         entries = self._entries
         arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
-        arrays += (entries.visited, entries.masks)
-        arrays += (self._clusters, self._ends, *self._kept)
+        arrays += (entries.visited, entries.masks, entries.records, entries.first)
+        arrays += (self._clusters, self._faces, self._ends, *self._kept)
         return sum(int(array.capacity) for array in arrays)

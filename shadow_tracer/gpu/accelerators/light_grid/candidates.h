@@ -71,19 +71,21 @@ struct WorldToLight {
 };
 struct Candidates16 {
     // Stores the clusters that may concern the rays of the light at `place`, ascending, from `first` on; returns the
-    // end. With `everything` all of them.
-    static inline int list(int place, int first, int everything, const LightFrame& frame, const Tiles& tiles,
-                           const Clusters& clusters, const wp::array_t<int>& found) {
+    // end. faces: of each, those whose rays it may concern, as bits.
+    static inline int list(int place, int first, const LightFrame& frame, const Tiles& tiles, const Clusters& clusters,
+                           const wp::array_t<int>& found, const wp::array_t<wp::uint8>& faces) {
         enum { SIXTEEN_BOXES = 16 * 6 };
         typedef Pyramid::Double16 Double16;
         const int items = (clusters.triangles + 255) / 256, count = (clusters.triangles + 15) / 16;
         const WorldToLight space(frame);
         Pyramid pyramids[FACES];
-        int faces = 0, end = first;
+        int used = 0, end = first, face_of[FACES], seen[FACES];
         for (int face = 0; face < FACES; ++face) {
             const int number = FACES * place + face;
-            if (tiles.groups.data[GROUP_COLUMNS * number + RAYS_OF] != 0)
-                space.make(pyramids[faces++], face, tiles.fit.data[number], tiles.far.data[number], frame);
+            if (tiles.groups.data[GROUP_COLUMNS * number + RAYS_OF] == 0)
+                continue;
+            space.make(pyramids[used], face, tiles.fit.data[number], tiles.far.data[number], frame);
+            face_of[used++] = face;
         }
         for (int item = 0; item < items; ++item) {
             const float* box = clusters.boxes.data + SIXTEEN_BOXES * (size_t)item;
@@ -93,15 +95,18 @@ struct Candidates16 {
                 high[k] = __builtin_convertvector(Lanes16::load(box + 16 * (3 + k)), Double16);
                 most[k] = high[k] > -low[k] ? high[k] : -low[k];
             }
-            int seen = 0;
-            for (int f = 0; f < faces; ++f)
-                seen |= pyramids[f].inside(0xFFFF & ~seen, low, high, most);
-            if (everything)
-                seen = 0xFFFF;
-            for (; seen; seen &= seen - 1) {
-                const int cluster = 16 * item + __builtin_ctz(seen);
-                if (cluster < count)
-                    found.data[end++] = cluster;
+            int any = 0;
+            for (int f = 0; f < used; ++f)
+                any |= seen[f] = pyramids[f].inside(0xFFFF, low, high, most);
+            for (; any; any &= any - 1) {
+                const int lane = __builtin_ctz(any), cluster = 16 * item + lane;
+                if (cluster >= count)
+                    break;
+                int bits = 0;
+                for (int f = 0; f < used; ++f)
+                    bits |= (seen[f] >> lane & 1) << face_of[f];
+                found.data[end] = cluster;
+                faces.data[end++] = (wp::uint8)bits;
             }
         }
         return end;

@@ -1,22 +1,37 @@
 // cpu
 // needs: exact/filter.h@16 visibility/answers.h accelerators/light_grid/tiles.h device/compress.h
 // constants: SHADOWED LEAF_TESTS ACCEPTED ALL_BLOCKS
-// arguments: Tiles tiles, Occluders occluders, EntryList entries, Answers answers
+// arguments: Tiles tiles, EntryList entries, Answers answers
 // Entries gather in a list; whenever it is full, it is sorted by tile and traced, tile by tile, sixteen rays at a time.
 struct Entries {
     // With fewer entries per tile than one in so many, sorting costs more than it gains.
     enum { TILES_PER_ENTRY = 8, AHEAD = 4 };
     const Tiles& tiles;
-    const Occluders& occluders;
     const EntryList& entries;
     const Answers& answers;
     wp::int64 tests, accepted, entered;
-    int flushes;
+    int flushes, flushed, waiting; // so far, and when records were opened: also how many entries waited
 
-    inline Entries(const Tiles& tiles, const Occluders& occluders, const EntryList& entries, const Answers& answers)
-        : tiles(tiles), occluders(occluders), entries(entries), answers(answers), tests(0), accepted(0), entered(0),
-          flushes(0) {}
-    inline const float* record(int number) const { return (const float*)occluders.records.data + 16 * (size_t)number; }
+    inline Entries(const Tiles& tiles, const EntryList& entries, const Answers& answers)
+        : tiles(tiles), entries(entries), answers(answers), tests(0), accepted(0), entered(0), flushes(0), flushed(0),
+          waiting(0) {}
+    inline float* record(int number) const { return entries.records.data + 16 * (size_t)number; }
+    inline int triangle(int number) const { return entries.first.data[number >> 4] + (number & 15); }
+    // The number of the first of sixteen records to be made, of the triangles from `first` on. There is room for so
+    // many clusters of which entries wait; when it is full they are traced.
+    inline int open_records(int first) {
+        int& used = entries.count.data[2];
+        if (used == entries.clusters)
+            flush();
+        if (entries.count.data[0] == 0)
+            used = 0;
+        entries.first.data[used] = first;
+        waiting = entries.count.data[0];
+        flushed = flushes;
+        return 16 * used;
+    }
+    // They stay if an entry of theirs may wait.
+    inline void close_records() { entries.count.data[2] += flushes != flushed || entries.count.data[0] > waiting; }
     inline void shadow(int tile, unsigned rays) {
         const int* order = TileMemory::order(tiles, tile);
         for (; rays; rays &= rays - 1)
@@ -45,7 +60,7 @@ struct Entries {
         const unsigned yes = ((unsigned)yes_low | (unsigned)yes_high << 16) & found;
         const int* order = TileMemory::order(tiles, tile);
         for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
-            if (Settle::pair(answers, order[__builtin_ctz(maybe)], number % occluders.records_apart))
+            if (Settle::pair(answers, order[__builtin_ctz(maybe)], triangle(number)))
                 live &= ~(maybe & -maybe);
         shadow(tile, yes);
         return live & ~yes;
@@ -146,21 +161,20 @@ struct Entries {
     }
     // Where they go; below zero if they do not fit, and go one by one.
     inline int room_for(int hit) {
-        const int n = __builtin_popcount(hit), waiting = entries.count.data[0];
-        if (waiting + n > entries.capacity)
+        const int n = __builtin_popcount(hit), behind = entries.count.data[0];
+        if (behind + n > entries.capacity)
             return -1;
-        entries.count.data[0] = waiting + n;
+        entries.count.data[0] = behind + n;
         entered += n;
-        return waiting;
+        return behind;
     }
     inline void report() {
         wp::int64* counter = answers.counters.data;
         wp::atomic_add(counter + LEAF_TESTS, tests);
         wp::atomic_add(counter + ACCEPTED, accepted);
     }
-    static inline void finish(const Tiles& tiles, const Occluders& occluders, const EntryList& entries,
-                              const Answers& answers) {
-        Entries it(tiles, occluders, entries, answers);
+    static inline void finish(const Tiles& tiles, const EntryList& entries, const Answers& answers) {
+        Entries it(tiles, entries, answers);
         it.flush();
         it.report();
     }

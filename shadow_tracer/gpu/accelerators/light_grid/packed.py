@@ -14,6 +14,9 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.visibility.queries import Query
 
+# 60 bytes each, in the second-level cache or nearly so.
+_RAYS_AT_ONCE = 1 << 16
+
 
 class PackedGrid(Accelerator):
     """The pipeline's variant ``packed``; see ``tiles.py``."""
@@ -24,7 +27,9 @@ class PackedGrid(Accelerator):
         self._buffers = TileBuffers(context.samples)
         wide = forms.wide(context.samples.device)
         self._way: BlockGrid | ThreadGrid = (BlockGrid if wide else ThreadGrid)(context, self._buffers, self._admission)
-        self.traits = Traits(lights_at_once=context.samples.bounds.max_lights, recordable=True, keeps_rays=wide)
+        lights = context.samples.bounds.max_lights
+        at_once = _RAYS_AT_ONCE if wide else Traits.rays_at_once
+        self.traits = Traits(lights_at_once=lights, rays_at_once=at_once, recordable=True, keeps_rays=wide)
 
     def follow(self) -> None:
         """What is kept of the scene is shared."""
@@ -65,6 +70,10 @@ class PackedGrid(Accelerator):
         self._begin(rays)
         self._admission.admit(rays)
         self._way.pack(rays)
+
+    def silent(self, light: LightFrame) -> tuple[int, int]:
+        """Triangles that cast nothing, of those that were looked at."""
+        return self._way.silent(light)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

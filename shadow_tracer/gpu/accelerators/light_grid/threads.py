@@ -153,6 +153,9 @@ class ThreadGrid:
         self._run(tracing.list_chunks, places, bins)
         self._run(tracing.trace_chunks, 32 * self._warps(), places, tiles, self.occluders(rays), bins, answers)
 
+    def silent(self, light: LightFrame) -> tuple[int, int]:
+        return self._context.records.silent(light.number)
+
     def nbytes(self) -> int:
         bins = self._bins
         arrays = (bins.items, bins.item_count, bins.length_of, bins.offsets, bins.tile, bins.record, bins.rank)

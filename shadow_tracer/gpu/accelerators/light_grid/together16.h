@@ -1,7 +1,7 @@
 // cpu
 // needs: accelerators/light_grid/entries.h accelerators/light_grid/side.h@16 device/compress.h
 // constants: FIT_CELLS
-// arguments: Tiles tiles, Occluders occluders, EntryList entries, Answers answers
+// arguments: Tiles tiles, EntryList entries, Answers answers
 // The sixteen triangles of a cluster against the tiles of a face, by flat lists: what is asked of a box is the same for
 // all of them, and which of them go on is written behind a list instead of branched upon. Columns, blocks and tiles are
 // looked at by bounds that hold those of the triangles; each tile that is left by the triangles' own, then by their
@@ -15,8 +15,8 @@ struct Together16 : Entries {
     Side16 side;
     wp::int64 nodes;
 
-    inline Together16(const Tiles& tiles, const Occluders& occluders, const EntryList& entries, const Answers& answers)
-        : Entries(tiles, occluders, entries, answers), nodes(0) {}
+    inline Together16(const Tiles& tiles, const EntryList& entries, const Answers& answers)
+        : Entries(tiles, entries, answers), nodes(0) {}
     inline int touches(const wp::array_t<float>& boxes, int number) {
         nodes += 16;
         return side.touches(TileBox::at(boxes, number));

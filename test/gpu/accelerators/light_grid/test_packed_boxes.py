@@ -20,11 +20,11 @@ from node_fuzz import bundles as all_bundles
 from packed_grid import LEVELS
 
 from shadow_tracer import Bounds, ShadowTracer
-from shadow_tracer.gpu.accelerators.light_grid.binning import Bins
+from shadow_tracer.gpu.accelerators.light_grid.binning import Bins, Casters
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.exact.faces import Occluders
-from shadow_tracer.gpu.exact.light_frame import make_light_frame
+from shadow_tracer.gpu.exact.light_frame import LightFrame, make_light_frame
 from shadow_tracer.gpu.exact.light_space import LightSpace, make_light_space
 from shadow_tracer.gpu.visibility.answers import Answers
 
@@ -56,21 +56,18 @@ _WIDE = """
         listed |= clusters.data[k] == triangle / 16;
     if (!listed)
         return 0;
-    const int place = box[2] / 6, face = box[2] % 6, first = triangle / 16 * 16, lane = triangle % 16;
-    const int count = occluders.count - first < 16 ? occluders.count - first : 16;
-    Front16 front;
-    front.corners.load(corners.data + 12 * (size_t)first);
-    front.open(0xFFFF >> (16 - count), tiles.aligned.data[place] != 0);
+    const int place = box[2] / 6, face = box[2] % 6, lane = triangle % 16;
+    Cluster cluster(casters, frame, space);
+    cluster.open(triangle / 16, tiles.aligned.data[place] != 0);
     Seen16 seen;
-    if (!(front.bound(face, tiles.fit.data[box[2]], space.inverse != 0, seen) >> lane & 1))
+    if (!(cluster.front.bound(face, tiles.fit.data[box[2]], space.inverse != 0, seen) >> lane & 1))
         return 0;
-    Planes16 planes;
-    const size_t record = place * occluders.records_apart + first;
-    planes.take((const float*)occluders.records.data + 16 * record, count, space);
-    if (planes.silent >> lane & 1)
+    float records[256];
+    cluster.take(place, records);
+    if (cluster.planes.silent >> lane & 1)
         return 0;
     Side16 side;
-    side.take(planes, seen, face, lane);
+    side.take(cluster.planes, seen, face, lane);
     int from, to;
     TileGroup(tiles, box[2]).columns(side.low_u, side.high_u, from, to);
     const int unit = side.bounded && to - from < 4 ? 1 : 16;
@@ -100,7 +97,7 @@ def judge(
 
 @wp.func_native(
     native.snippet(
-        "accelerators/light_grid/tiles.h", "accelerators/light_grid/side.h@16", call=_WIDE, otherwise="return 0;"
+        "accelerators/light_grid/tiles.h", "accelerators/light_grid/cluster.h", call=_WIDE, otherwise="return 0;"
     )
 )
 def judge_wide(
@@ -108,10 +105,10 @@ def judge_wide(
     box: wp.vec4i,
     clusters: wp.array(dtype=int),
     ends: wp.array(dtype=int),
-    corners: wp.array(dtype=float),
+    casters: Casters,
+    frame: LightFrame,
     space: LightSpace,
     tiles: Tiles,
-    occluders: Occluders,
 ) -> int: ...
 
 
@@ -134,15 +131,14 @@ def judge_all_wide(
     boxes: wp.array(dtype=wp.vec4i),
     clusters: wp.array(dtype=int),
     ends: wp.array(dtype=int),
-    corners: wp.array(dtype=float),
+    casters: Casters,
+    frame: LightFrame,
     space: LightSpace,
     tiles: Tiles,
-    occluders: Occluders,
     out: wp.array2d(dtype=int),
 ):
     number, triangle = wp.tid()
-    box = boxes[number]
-    out[number, triangle] = judge_wide(triangle, box, clusters, ends, corners, space, tiles, occluders)
+    out[number, triangle] = judge_wide(triangle, boxes[number], clusters, ends, casters, frame, space, tiles)
 
 
 _MOST_RAYS, _MOST_TRIANGLES = 1024, len(SPREADS) * TRIANGLES
@@ -188,7 +184,8 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
     count = len(corners)
     tracer.scene.put("mesh", corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
     given, wide = probe_accelerators.binning(tracer, points, light, bias), probe.wide(tracer.device)
-    space, packed = make_light_space(make_light_frame(light, probe.anchor(tracer))), packed_grid.read(given.tiles)
+    frame, packed = make_light_frame(light, probe.anchor(tracer)), packed_grid.read(given.tiles)
+    space = make_light_space(frame)
     if not hidden.size:
         hidden.resize((len(points), count), refcheck=False)
         out = wp.empty(hidden.shape, dtype=wp.uint8, device=tracer.device)
@@ -208,9 +205,8 @@ def _judge(tracer: ShadowTracer, scene: Any, hidden: np.ndarray) -> Any:
         )
         out = wp.empty((len(rows), count), dtype=int, device=tracer.device)
         inputs = [wp.array(rows, dtype=wp.vec4i, device=tracer.device)]
-        seen = [space, given.tiles, given.occluders]
-        inputs += [*given.alone, *seen, out] if wide else [*seen, *given.alone, out]
-        wp.launch(judge_all_wide if wide else judge_all, dim=out.shape, inputs=inputs, device=tracer.device)
+        inputs += [*given.alone, frame, space, given.tiles] if wide else [space, given.tiles, *given.alone]
+        wp.launch(judge_all_wide if wide else judge_all, dim=out.shape, inputs=[*inputs, out], device=tracer.device)
         index = np.searchsorted(boxes.number, places[position[tile]])
         shadows, rays = np.zeros(out.shape, int), np.bincount(index, minlength=len(rows))
         np.add.at(shadows, index, hidden[packed.order[tile, lane]])

@@ -13,7 +13,7 @@ _ROOT = Path(__file__).resolve().parents[4]
 _GPU = "shadow_tracer/gpu"
 _GRID = "accelerators/light_grid/"
 _BOXES, _TILES, _CANDIDATES = "test_packed_boxes.py", "test_packed_tiles.py", "test_candidates.py"
-_TOGETHER = "test_together.py"
+_TOGETHER, _KEPT = "test_together.py", "../../samples/test_kept_rays.py"
 _BOUNDS = ("low_u", "high_u", "low_v", "high_v")
 _COVERED = "(middle[3] - reach[3] + far > plane)"
 
@@ -46,8 +46,18 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     ),
     "records kept when the light moves": (
         _CANDIDATES,
-        "only_what",
+        "shown_everything",
         [(_GRID + "candidates.py", "blocks(stale.triangles, BLOCK, self._scene.triangle_count)", "()")],
+    ),
+    "clusters on the first of their faces alone": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "candidates.h", "bits |= (seen[f] >> lane & 1)", "bits += (!bits && (seen[f] >> lane & 1))")],
+    ),
+    "rays kept that those of further lights were written over": (
+        _KEPT,
+        "one_after_the_other",
+        [("engine/band.py", "self._kept.forget()", "pass")],
     ),
     "clusters as wide as one of their triangles": (
         _TOGETHER,
@@ -68,6 +78,21 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         _TOGETHER,
         "clusters",
         [(_GRID + "together16.h", "planes.p[3] * t0, planes.p[3] * t0", "planes.p[3] * box[80], planes.p[3] * t0")],
+    ),
+    "records written over while entries of them wait": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "entries.h", "+= flushes != flushed || entries.count.data[0] > waiting", "+= 0")],
+    ),
+    "records written over when there is no room for more": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "entries.h", "if (used == entries.clusters)\n            flush();", "used %= entries.clusters;")],
+    ),
+    "records written over that a full list left": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "entries.h", "flushes != flushed || entries", "entries")],
     ),
     "boxes without pads": (
         _TILES,
@@ -177,5 +202,5 @@ def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels
     tests, some, changes = _MUTANTS[mutant]
     failed = failing_tests(changes, f"accelerators/light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
-    if tests not in (_CANDIDATES, _TOGETHER):  # which only the wide form has
+    if tests not in (_CANDIDATES, _TOGETHER, _KEPT):  # which only the wide form has
         assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"
