@@ -23,7 +23,7 @@ from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility import light_points
 from shadow_tracer.gpu.visibility.queries import MASK, MASK_POINTS
 from shadow_tracer.scene.checks import FloatArray
-from shadow_tracer.scene.lights import HardLight, Light
+from shadow_tracer.scene.lights import Light
 
 # Samples that try a bundle out; fewer than so many times as many samples in all go without.
 PILOT, WORTH = 256, 8
@@ -37,7 +37,7 @@ def trace_area_lights(
     scene: SceneBuffers,
     lights: Sequence[Light],
     together: int,
-    trace: Callable[[Sequence[HardLight], bool], Traced],
+    trace: Callable[[light_points.Batch], Traced],
     run: Run,
     whole: Stages,
 ) -> Traced:
@@ -47,7 +47,7 @@ def trace_area_lights(
         working: the bands of the frame.
         scene: the world, in which the meshes that a light ignores cast nothing for the time of its batches.
         together: the most hard lights of a batch.
-        trace: traces hard lights; whether they are the first of the frame.
+        trace: traces the hard lights of a batch, or finds where they shine.
         run: does what each band asks for all points of a light, side by side or in turn.
         whole: times of what is done for all bands at once.
     """
@@ -59,7 +59,7 @@ def trace_area_lights(
         scene.leave_out(batch.ignored)
         for band in working:  # here and not in what may be recorded: a replay does not come by
             band.follow()
-        traced = trace(batch.lights, batch.first == 0)
+        traced = trace(batch)
         tally.add(batch, traced.states)
         counters, stages = light_points.add_up(counters, traced.counters), traced.stages
         for place, number, light in tally.area_lights(batch):

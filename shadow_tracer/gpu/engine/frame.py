@@ -253,8 +253,8 @@ class FrameTracer:
         if not soft and not any(map(light_points.ignored_by, lights)):
             return self._trace_lights(working, lights, source)
 
-        def trace(batch: Sequence[HardLight], first: bool) -> Traced:
-            return self._trace_lights(working, batch, source if first else None)
+        def trace(batch: light_points.Batch) -> Traced:
+            return self._trace_lights(working, batch.lights, None if batch.first else source, batch.hidden)
 
         kernels = (working[0].names, _POINTS, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded
@@ -265,15 +265,18 @@ class FrameTracer:
             self._launched(kernels)
         return traced
 
-    def _trace_lights(self, working: list[Band], lights: Sequence[HardLight], source: Source | None) -> Traced:
-        """``source``: what samples are to be made of, None if there are some."""
+    def _trace_lights(
+        self, working: list[Band], lights: Sequence[HardLight], source: Source | None, hidden: bool = True
+    ) -> Traced:
+        """``source``: what samples are to be made of, None if there are some; ``hidden``: whether what is hidden from
+        the lights is asked, or only where they shine."""
         assert self._anchor is not None
         light_frames = [make_light_frame(light, self._anchor, index) for index, light in enumerate(lights)]
         for samples in {id(samples): samples for samples in (self._whole, *self._sets(working))}.values():
             samples.set_lights(light_frames)
         passes = self._passes(working, light_frames)
         stale = self._context.records.plan(light_frames, len(passes[0].lights))
-        self._launch(working, passes, source, stale)
+        self._launch(working, passes, source, stale, hidden)
         if self._planes:
             with self.stages.stage("download"):
                 self._planes.fetch(len(lights))
@@ -308,7 +311,7 @@ class FrameTracer:
         return [Rays(tuple(light_frames[first : first + together])) for first in range(0, len(light_frames), together)]
 
     def _launch(
-        self, working: list[Band], passes: Sequence[Rays], source: Source | None, stale: Sequence[Changed]
+        self, working: list[Band], passes: Sequence[Rays], source: Source | None, stale: Sequence[Changed], hidden: bool
     ) -> None:
         """Everything of a frame between upload and download, further passes aside."""
         first = working[0]
@@ -317,6 +320,7 @@ class FrameTracer:
         kernels = (first.names, None if source is None else source.name, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
         self._cold |= not loaded
+        hidden |= not loaded  # so that those that trace are loaded, too
         if self._use_graphs and first.pipeline.traits.recordable:
             samples, scene, records = first.samples, self._scene, self._context.records
             key = (*kernels[:2], samples.count, samples.width, scene.triangle_count, scene.vertex_count)
@@ -325,13 +329,13 @@ class FrameTracer:
 
             def launch() -> None:
                 records.expect(stale)
-                self._run(working, passes, source, _one_after_the_other)
+                self._run(working, passes, source, _one_after_the_other, hidden)
 
             with self.stages.stage("graph"), self.stages.paused():
                 key = (*key, records.front_face_culling, *map(bool, stale))
                 self._cold |= self._graphs.run(key, launch)
         else:
-            self._run(working, passes, source, self._runner(working, loaded))
+            self._run(working, passes, source, self._runner(working, loaded), hidden)
         self._launched(kernels)
 
     def _runner(self, working: Sequence[Band], loaded: bool) -> Run:
@@ -365,6 +369,7 @@ class FrameTracer:
         passes: Sequence[Rays],
         source: Source | None,
         run: Run,
+        hidden: bool,
     ) -> None:
         """The order of a frame: of each pass first what one band makes for all of them."""
         for number, rays in enumerate(passes):
@@ -374,8 +379,9 @@ class FrameTracer:
                 begin = time.perf_counter()
                 if first:
                     band.begin(source)
-                band.project(rays)
-                band.trace(rays)
+                band.project(rays, not hidden)
+                if hidden:
+                    band.trace(rays)
                 band.busy += time.perf_counter() - begin
 
             run([partial(job, band) for band in working])
