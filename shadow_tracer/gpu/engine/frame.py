@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.registry import side_by_side
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import FrameGraphs
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.device.workers import Job, Workers
+from shadow_tracer.gpu.engine.apart import Apart, trace_beside
 from shadow_tracer.gpu.engine.area_lights import Run, trace_area_lights
 from shadow_tracer.gpu.engine.automatic import Chooser, Names, Situation
 from shadow_tracer.gpu.engine.band import Band
@@ -98,10 +99,6 @@ class FrameTracer:
         self._samples = Samples(forms.wide(device) and not graphs)
         self.take(*self.make_bands(names, chooser))
 
-    @property
-    def _pipeline(self) -> Accelerator:
-        return self._bands[0].pipeline
-
     def make_bands(self, names: Names, chooser: Chooser | None) -> tuple[Chooser | None, dict[Names, list[Band]]]:
         """Allocate the buffers of a pipeline, or of all that ``chooser`` chooses among, beside those in use."""
         bands_of: dict[Names, list[Band]] = {}
@@ -114,6 +111,7 @@ class FrameTracer:
         """Use other bands from the next frame on; the old ones are freed."""
         self._chooser, self._bands_of, self._bands = chooser, bands_of, next(iter(bands_of.values()))
         self._balances = {names: Balance(len(bands)) for names, bands in bands_of.items() if len(bands) > 1}
+        self._apart = Apart(self.device, self._use_graphs)
         self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
@@ -237,7 +235,7 @@ class FrameTracer:
 
     def _all_bands(self) -> list[Band]:
         """Of all pipelines."""
-        return [band for bands in self._bands_of.values() for band in bands]
+        return [*(band for bands in self._bands_of.values() for band in bands), *self._apart.bands()]
 
     def _sync(self, scene: Scene) -> int:
         """Copy the scene; returns what has changed of it since the last frame: 0 nothing, 1 positions, 2 triangles."""
@@ -253,14 +251,25 @@ class FrameTracer:
         if not soft and not any(map(light_points.ignored_by, lights)):
             return self._trace_lights(working, lights, source)
 
-        def trace(batch: light_points.Batch) -> Traced:
-            return self._trace_lights(working, batch.lights, None if batch.first else source, batch.hidden)
-
         kernels = (working[0].names, _POINTS, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded
         self._cold |= soft and not loaded
-        run = self._runner(working, loaded)
-        traced = trace_area_lights(working, self._scene, lights, self.bounds.max_lights, trace, run, self.stages)
+        beside = self._apart.of(working) if soft else working
+
+        def trace(batch: light_points.Batch) -> Traced:
+            def others() -> Traced:
+                return self._trace_lights(beside, batch.lights, None)
+
+            if batch.apart and beside is not working:
+                return trace_beside(beside, working, self._context.records, others)
+            traced = self._trace_lights(working, batch.lights, None if batch.first else source, batch.hidden)
+            if soft and not loaded and beside is not working:  # so that their kernels are loaded, too
+                trace_beside(beside, working, self._context.records, others)
+            return traced
+
+        run, whole = self._runner(working, loaded), self.stages
+        together, one_by_one = self.bounds.max_lights, beside[0].pipeline
+        traced = trace_area_lights(working, self._scene, lights, together, trace, one_by_one, run, whole)
         if soft:
             self._launched(kernels)
         return traced
@@ -281,7 +290,7 @@ class FrameTracer:
             with self.stages.stage("download"):
                 self._planes.fetch(len(lights))
         # Further passes may make another light's records in the place of these.
-        silent = self._pipeline.silent(light_frames[-1])
+        silent = working[0].pipeline.silent(light_frames[-1])
         further = sum(band.finish(passes) for band in working)
         with self.stages.stage("download"):
             found = self._found(working, len(lights), further > 0)
@@ -303,7 +312,7 @@ class FrameTracer:
     def _passes(self, working: Sequence[Band], light_frames: Sequence[light_frame.LightFrame]) -> list[Rays]:
         """As many lights together as the pipeline takes and as there is room for."""
         together = min(
-            self._pipeline.traits.lights_at_once,
+            working[0].pipeline.traits.lights_at_once,
             len(light_frames),
             *(band.samples.bounds.max_rays // max(band.samples.count, 1) for band in working),
             self._context.records.room(),

@@ -50,13 +50,15 @@ class _Part:
 
 @dataclass(frozen=True)
 class Batch:
-    """Lights that are traced together: number of the first part, the lights, meshes that cast nothing in any, and
-    whether it is asked what is hidden from them; else only where they shine."""
+    """Lights that are traced together: number of the first part, the lights, meshes that cast nothing in any, whether
+    it is asked what is hidden from them (else only where they shine), and whether they are points that could have been
+    asked about together."""
 
     first: int
     lights: list[HardLight]
     ignored: Names
     hidden: bool
+    apart: bool
 
 
 class _Points:
@@ -131,10 +133,11 @@ class Tally:
             yield Batch(first, [part.hard for part in self._parts[first:end]], *kind)
             first = end
 
-    def _kind(self, number: int) -> tuple[Names, bool]:
+    def _kind(self, number: int) -> tuple[Names, bool, bool]:
         part = self._parts[number]
         light = self._lights[part.light]
-        return ignored_by(light), part.point >= 0 or not isinstance(light, AreaLight) or not self._masks
+        masked = self._masks and isinstance(light, AreaLight)
+        return ignored_by(light), not masked or part.point >= 0, masked and part.point >= 0
 
     def add(self, batch: Batch, states: States) -> None:
         """Take in the (B, N) states of a batch."""

@@ -14,6 +14,10 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.visibility.queries import Query
 
+# Of 64 lights in turn, in images of a quarter of a million samples (BART robots, Sponza, Sibenik, conference, two
+# recorded rooms): within a fourth of what they took, 0.04 to 0.085 us a ray.
+_RAY_COSTS = 50.0, 25.0
+
 
 class PackedGrid(Accelerator):
     """The pipeline's variant ``packed``; see ``tiles.py``."""
@@ -24,7 +28,8 @@ class PackedGrid(Accelerator):
         self._buffers = TileBuffers(context.samples)
         wide = forms.wide(context.samples.device)
         self._way: BlockGrid | ThreadGrid = (BlockGrid if wide else ThreadGrid)(context, self._buffers, self._admission)
-        self.traits = Traits(lights_at_once=context.samples.bounds.max_lights, recordable=True, keeps_rays=wide)
+        lights = context.samples.bounds.max_lights
+        self.traits = Traits(lights_at_once=lights, recordable=True, keeps_rays=wide, ray_costs=_RAY_COSTS)
 
     def follow(self) -> None:
         """What is kept of the scene is shared."""
