@@ -201,7 +201,7 @@ def depth_traces(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     trace_depth = FrameTracer.trace_depth
 
     def counted(this: Any, *arguments: Any) -> Any:
-        names.append(type(this._pipeline).__name__)
+        names.append(type(this._bands[0].pipeline).__name__)
         return trace_depth(this, *arguments)
 
     monkeypatch.setattr(FrameTracer, "trace_depth", counted)

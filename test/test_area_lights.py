@@ -152,7 +152,7 @@ def test_frames_recorded_or_not_by_any_number_of_threads(any_device: str, names:
         assert tracer.verify(depth, camera, _LAMPS, _BIAS) == 0
 
 
-@probe.in_forms("names", ["light_grid", "mesh_bvh"], ["light_grid", "mesh_bvh"])
+@probe.in_forms("names", ["light_grid", "mesh_bvh", "bvh"], ["light_grid", "mesh_bvh", "bvh"])
 @pytest.mark.slow
 def test_capacities_of_one(any_device: str, names: str) -> None:
     bounds = Bounds(**{**_SMALL, "queue_capacity": 1, "grid_entries": 1, "max_lights": 1})

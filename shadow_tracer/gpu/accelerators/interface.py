@@ -104,8 +104,9 @@ class Traits:
             ``TriangleRecords.plan`` has said.
         keeps_rays: whether what it makes of the rays of a pass can be used again, see ``Rays.again``.
         queries: what it can be asked (``visibility/queries.py``).
-        bundle_limit: triangles that a bundle of rays, from a sample to all points of a light, may be shown: so many,
-            and so many more for each ray. With more the rays one by one cost less.
+        bundle_costs: of bundles of rays, from a sample to all points of a light, for each node and each triangle, and
+            for each triangle and point [ns, on one core of a Xeon of 2023]. As for ``ray_costs`` their ratios matter.
+        ray_costs: of hard lights, for each ray, and for each triangle of the scene [ns].
     """
 
     lights_at_once: int = 1
@@ -115,7 +116,8 @@ class Traits:
     queries: tuple[Query, ...] = (ANY_HIT,)
     # Where triangles are judged one by one, each takes 0.07 us in a bundle to 8 points and 0.12 in one to 64; a ray
     # 0.12 to 0.25 us (mesh_bvh: BART robots, conference, the red kitchen, a room of texels).
-    bundle_limit: tuple[float, float] = (12.0, 1.1)
+    bundle_costs: tuple[float, float, float] = (0.0, 63.0, 0.9)
+    ray_costs: tuple[float, float] = (150.0, 0.0)
 
 
 class Accelerator:

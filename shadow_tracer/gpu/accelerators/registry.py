@@ -26,12 +26,15 @@ class PipelineEntry:
             chooses among the other pipelines.
         side_by_side: variants of which several may work at once, each on separate rays.
         cones: variants through whose structure cones can go.
+        apart: who traces the points of a light with size one by one in the CPU's form, where that costs less than to
+            ask about all points together; None: the same.
     """
 
     summary: str
     classes: Mapping[str, str | None]
     side_by_side: tuple[str, ...] = ()
     cones: tuple[str, ...] = ()
+    apart: tuple[str, str] | None = None
 
     @property
     def variants(self) -> tuple[str, ...]:
@@ -72,12 +75,14 @@ REGISTRY: dict[str, PipelineEntry] = {
         "bounding volume hierarchy over the triangles, refitted while only positions change",
         dict.fromkeys(("refit", "rebuild", "binary"), _MESH_BVH),
         ("refit", "rebuild", "binary"),
+        apart=("light_grid", "packed"),
     ),
     "bvh": PipelineEntry(
         "a tree over blocks of 16 triangles, rays in packets of 16; built for each topology, refitted as things move",
         dict.fromkeys(_BVH_VARIANTS, "bvh.bvh:Bvh"),
         _BVH_VARIANTS,
         ("sah",),
+        ("light_grid", "packed"),
     ),
     "uniform_grid": PipelineEntry(
         "a grid of equal cells over the triangles, rays step from cell to cell",
@@ -176,6 +181,12 @@ def cones(scene: SceneBuffers, names: tuple[str, str], threads: int) -> Cones:
     build = scene.made.take((kind, variant), lambda: kind(variant, scene))
     found: Cones = import_module("shadow_tracer.gpu.accelerators.cones").Cones(scene, build, threads)
     return found
+
+
+def apart(pipeline: str, variant: str) -> tuple[str, str] | None:
+    """Who traces points of lights with size one by one in the CPU's form for a pipeline that asks about all together;
+    None: itself, or nobody needs to."""
+    return REGISTRY[pipeline].apart
 
 
 def side_by_side(pipeline: str, variant: str) -> bool:

@@ -110,14 +110,14 @@ class Build:
     Attributes:
         walk: how rays go through the structure.
         queries: what the pipeline is asked; a walk may be able to answer more.
-        bundle_limit: see ``Traits``.
+        bundle_costs: see ``Traits``.
         cones: how cones go through the structure, None if they cannot.
         structure: what they walk through, None if there is nothing; made by ``build``.
     """
 
     walk: Walk
     queries: tuple[Query, ...] = (ANY_HIT,)
-    bundle_limit = Traits.bundle_limit
+    bundle_costs = Traits.bundle_costs
     cones: ConeKernels | None = None
     structure: Any = None
 
@@ -169,7 +169,7 @@ class Walker(Accelerator):
 
     def __init__(self, build: Build, context: Context) -> None:
         self.build = build
-        self.traits = Traits(queries=build.queries, bundle_limit=build.bundle_limit)
+        self.traits = Traits(queries=build.queries, bundle_costs=build.bundle_costs)
         self._context = context
 
     def follow(self) -> None:

@@ -3,8 +3,8 @@
 pipeline can answer for all points of a sample at once, one walk for every 64 of them.
 
 A bundle of rays to a large light, or to one with something close around it, meets so many triangles that rays one by
-one cost less. So some samples try the bundle out first, and the triangles that they are shown are counted: never the
-time, which other programs change. Both ways give the same bits.
+one cost less. So some samples try the bundle out first, and the nodes that they visit and the triangles that they are
+shown are counted: never the time, which other programs change. Both ways give the same bits.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility import light_points
 from shadow_tracer.gpu.visibility.queries import MASK, MASK_POINTS
 from shadow_tracer.scene.checks import FloatArray
-from shadow_tracer.scene.lights import HardLight, Light
+from shadow_tracer.scene.lights import Light
 
 # Samples that try a bundle out; fewer than so many times as many samples in all go without.
 PILOT, WORTH = 256, 8
@@ -37,7 +37,8 @@ def trace_area_lights(
     scene: SceneBuffers,
     lights: Sequence[Light],
     together: int,
-    trace: Callable[[Sequence[HardLight], bool], Traced],
+    trace: Callable[[light_points.Batch], Traced],
+    apart: Accelerator,
     run: Run,
     whole: Stages,
 ) -> Traced:
@@ -47,7 +48,8 @@ def trace_area_lights(
         working: the bands of the frame.
         scene: the world, in which the meshes that a light ignores cast nothing for the time of its batches.
         together: the most hard lights of a batch.
-        trace: traces hard lights; whether they are the first of the frame.
+        trace: traces the hard lights of a batch, or finds where they shine.
+        apart: what traces the points of a light one by one.
         run: does what each band asks for all points of a light, side by side or in turn.
         whole: times of what is done for all bands at once.
     """
@@ -59,12 +61,12 @@ def trace_area_lights(
         scene.leave_out(batch.ignored)
         for band in working:  # here and not in what may be recorded: a replay does not come by
             band.follow()
-        traced = trace(batch.lights, batch.first == 0)
+        traced = trace(batch)
         tally.add(batch, traced.states)
         counters, stages = light_points.add_up(counters, traced.counters), traced.stages
         for place, number, light in tally.area_lights(batch):
             points = light.homogeneous_points
-            bundled, spent = _is_bundle(run, working, place, points[:MASK_POINTS])
+            bundled, spent = _is_bundle(run, working, place, points[:MASK_POINTS], apart, scene.triangle_count)
             counters = _plus(counters, spent)
             if not bundled:
                 tally.divide(number)
@@ -94,7 +96,9 @@ def _each(run: Run, working: Sequence[Band], ask: Callable[..., _Found], *argume
     return [found[band] for band in working]
 
 
-def _is_bundle(run: Run, working: Sequence[Band], place: int, points: FloatArray) -> tuple[bool, dict[str, int]]:
+def _is_bundle(
+    run: Run, working: Sequence[Band], place: int, points: FloatArray, apart: Accelerator, triangles: int
+) -> tuple[bool, dict[str, int]]:
     """Whether samples should ask about all points of a light together, and what it took to find out."""
     count = sum(band.samples.count for band in working)
     if count < WORTH * PILOT:
@@ -102,14 +106,23 @@ def _is_bundle(run: Run, working: Sequence[Band], place: int, points: FloatArray
     spent: dict[str, int] = {}
     for counts in _each(run, working, Band.try_out, place, points, count // PILOT):
         spent = _plus(counts, spent)
-    rays = spent.pop("rays", 0)  # they are asked again
-    return len(points) * spent.get("leaf_tests", 0) <= most_shown(working[0].pipeline, len(points)) * rays, spent
+    if not spent:
+        return True, {}
+    together = bundle_cost(working[0].pipeline, len(points), spent)
+    one_by_one = spent.pop("rays") * ray_cost(apart, triangles / count)  # they are asked again: not to be counted
+    return together <= one_by_one, spent
 
 
-def most_shown(pipeline: Accelerator, points: int) -> float:
-    """Triangles that a sample may be shown by a bundle to so many points."""
-    always, each = pipeline.traits.bundle_limit
-    return always + each * points
+def bundle_cost(pipeline: Accelerator, points: int, counts: dict[str, int]) -> float:
+    """What bundles to so many points cost that took so much [ns]."""
+    node, triangle, pair = pipeline.traits.bundle_costs
+    return node * counts["nodes_visited"] + (triangle + pair * points) * counts["leaf_tests"]
+
+
+def ray_cost(pipeline: Accelerator, triangles: float) -> float:
+    """What a ray costs, with so many triangles in the scene for each sample [ns]."""
+    ray, triangle = pipeline.traits.ray_costs
+    return ray + triangle * triangles
 
 
 def _plus(counters: dict[str, int], more: dict[str, int]) -> dict[str, int]:

@@ -19,6 +19,7 @@ from shadow_tracer.gpu.accelerators.registry import make_pipeline
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.counters import COUNTERS
 from shadow_tracer.gpu.device.stages import Stages
+from shadow_tracer.gpu.exact import mask_range
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples import normals, pixels
@@ -26,7 +27,7 @@ from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
 from shadow_tracer.gpu.samples.rays import project
 from shadow_tracer.gpu.samples.sample_set import SampleSet
-from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, MASK_POINTS, Mask
+from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, MASK_BINS, MASK_POINTS, Mask
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
 from shadow_tracer.scene.checks import FloatArray
 
@@ -63,6 +64,7 @@ class Band:
         self._offsets = wp.empty(
             3 * MASK_POINTS if len(self._points) and forms.wide(device) else 0, dtype=float, device=device
         )
+        self._beyond = wp.empty(2 * MASK_BINS if len(self._offsets) else 0, dtype=wp.uint64, device=device)
         self._waiting = None if forms.wide(device) else WaitingPairs(bounds.max_rays, bounds.queue_capacity, device)
 
     @property
@@ -100,8 +102,8 @@ class Band:
         if self.context.scene.triangle_count:
             self.pipeline.aim(lights)
 
-    def project(self, rays: Rays) -> None:
-        """Rays of the samples, unless they are there from the frame before."""
+    def project(self, rays: Rays, counted: bool = False) -> None:
+        """Rays of the samples, unless they are there from the frame before; ``counted``: not to be counted."""
         self._again = self._kept is not None and self._kept.recall(rays.lights)
         if self._again:
             return
@@ -110,7 +112,7 @@ class Band:
         elif not rays.keep:
             self._kept.forget()
         before = self._kept.rays_so_far() if self._kept is not None and rays.keep else 0
-        self._project(rays)
+        self._project(rays, counted)
         if self._kept is not None and rays.keep:
             self._kept.keep(rays.lights, before)
 
@@ -183,9 +185,13 @@ class Band:
         asked.count, asked.points, asked.every = len(points), self._points, every
         samples.upload(self._points, points)
         asked.middle, asked.extent, offsets = _bundle(points)
-        asked.offsets = self._offsets
+        asked.offsets, asked.beyond = self._offsets, self._beyond
         if len(self._offsets):
-            samples.upload(self._offsets, offsets)
+            samples.upload(self._offsets, _padded(offsets))
+            flat = mask_range.sides_of(offsets)
+            if flat:
+                asked.flat, asked.u, asked.v = 1, wp.vec3d(*flat[0][0]), wp.vec3d(*flat[0][1])
+                samples.upload(self._beyond, flat[1].reshape(-1))
         asked.positions, asked.states, asked.seen = samples.positions, samples.states_of(place), samples.seen
         asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
         asked.cull, asked.counters = int(records.front_face_culling), samples.counters
@@ -200,7 +206,7 @@ class Band:
     def nbytes(self) -> int:
         """Bytes reserved beyond the buffers, on the device and, for rays that are kept, on the host."""
         own = self._kept.nbytes() if self._kept is not None else 0
-        own += int(self._points.capacity + self._offsets.capacity)
+        own += int(self._points.capacity + self._offsets.capacity + self._beyond.capacity)
         own += self._waiting.nbytes() if self._waiting is not None else 0
         return self.pipeline.nbytes() + own
 
@@ -211,10 +217,10 @@ class Band:
         into[:, samples.first : samples.first + samples.count] = states
 
 
-def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d, npt.NDArray[np.float32]]:
-    """Of (P, 4) homogeneous points their middle, and how far they are from there along each axis at most [m]. At
-    infinity, a way of length 1, and how far the ends of the others, as long as they reach the plane across its end, are
-    from it."""
+def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d, FloatArray]:
+    """Of (P, 4) homogeneous points their middle, how far they are from there along each axis at most [m], and how far
+    each is. At infinity, a way of length 1, and how far the ends of the others, as long as they reach the plane across
+    its end, are from it."""
     ends, w = points[:, :3], points[0, 3]
     if w != 0.0:
         middle = 0.5 * (ends.min(axis=0) + ends.max(axis=0))
@@ -225,6 +231,11 @@ def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d, npt.NDArray[np.floa
         ends = ways / (ways @ middle)[:, None]
     # The middle is off by some roundings.
     extent = np.abs(ends - middle).max(axis=0) * (1.0 + 1e-9) + 1e-14 * np.abs(ends).max()
-    offsets = np.zeros((3, MASK_POINTS), np.float32)
-    offsets[:, : len(ends)] = (ends - middle).T
-    return wp.vec4d(*middle, w), wp.vec3d(*extent), offsets.reshape(-1)
+    return wp.vec4d(*middle, w), wp.vec3d(*extent), ends - middle
+
+
+def _padded(offsets: FloatArray) -> npt.NDArray[np.float32]:
+    """Along x, y and z, as the filter has them."""
+    held = np.zeros((3, MASK_POINTS), np.float32)
+    held[:, : len(offsets)] = offsets.T
+    return held.reshape(-1)

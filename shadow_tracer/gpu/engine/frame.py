@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays
+from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.registry import side_by_side
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import FrameGraphs
 from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.device.workers import Job, Workers
+from shadow_tracer.gpu.engine.apart import Apart, trace_beside
 from shadow_tracer.gpu.engine.area_lights import Run, trace_area_lights
 from shadow_tracer.gpu.engine.automatic import Chooser, Names, Situation
 from shadow_tracer.gpu.engine.band import Band
@@ -98,10 +99,6 @@ class FrameTracer:
         self._samples = Samples(forms.wide(device) and not graphs)
         self.take(*self.make_bands(names, chooser))
 
-    @property
-    def _pipeline(self) -> Accelerator:
-        return self._bands[0].pipeline
-
     def make_bands(self, names: Names, chooser: Chooser | None) -> tuple[Chooser | None, dict[Names, list[Band]]]:
         """Allocate the buffers of a pipeline, or of all that ``chooser`` chooses among, beside those in use."""
         bands_of: dict[Names, list[Band]] = {}
@@ -114,6 +111,7 @@ class FrameTracer:
         """Use other bands from the next frame on; the old ones are freed."""
         self._chooser, self._bands_of, self._bands = chooser, bands_of, next(iter(bands_of.values()))
         self._balances = {names: Balance(len(bands)) for names, bands in bands_of.items() if len(bands) > 1}
+        self._apart = Apart(self.device, self._use_graphs)
         self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
@@ -237,7 +235,7 @@ class FrameTracer:
 
     def _all_bands(self) -> list[Band]:
         """Of all pipelines."""
-        return [band for bands in self._bands_of.values() for band in bands]
+        return [*(band for bands in self._bands_of.values() for band in bands), *self._apart.bands()]
 
     def _sync(self, scene: Scene) -> int:
         """Copy the scene; returns what has changed of it since the last frame: 0 nothing, 1 positions, 2 triangles."""
@@ -253,32 +251,46 @@ class FrameTracer:
         if not soft and not any(map(light_points.ignored_by, lights)):
             return self._trace_lights(working, lights, source)
 
-        def trace(batch: Sequence[HardLight], first: bool) -> Traced:
-            return self._trace_lights(working, batch, source if first else None)
-
         kernels = (working[0].names, _POINTS, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded
         self._cold |= soft and not loaded
-        run = self._runner(working, loaded)
-        traced = trace_area_lights(working, self._scene, lights, self.bounds.max_lights, trace, run, self.stages)
+        beside = self._apart.of(working) if soft else working
+
+        def trace(batch: light_points.Batch) -> Traced:
+            def others() -> Traced:
+                return self._trace_lights(beside, batch.lights, None)
+
+            if batch.apart and beside is not working:
+                return trace_beside(beside, working, self._context.records, others)
+            traced = self._trace_lights(working, batch.lights, None if batch.first else source, batch.hidden)
+            if soft and not loaded and beside is not working:  # so that their kernels are loaded, too
+                trace_beside(beside, working, self._context.records, others)
+            return traced
+
+        run, whole = self._runner(working, loaded), self.stages
+        together, one_by_one = self.bounds.max_lights, beside[0].pipeline
+        traced = trace_area_lights(working, self._scene, lights, together, trace, one_by_one, run, whole)
         if soft:
             self._launched(kernels)
         return traced
 
-    def _trace_lights(self, working: list[Band], lights: Sequence[HardLight], source: Source | None) -> Traced:
-        """``source``: what samples are to be made of, None if there are some."""
+    def _trace_lights(
+        self, working: list[Band], lights: Sequence[HardLight], source: Source | None, hidden: bool = True
+    ) -> Traced:
+        """``source``: what samples are to be made of, None if there are some; ``hidden``: whether what is hidden from
+        the lights is asked, or only where they shine."""
         assert self._anchor is not None
         light_frames = [make_light_frame(light, self._anchor, index) for index, light in enumerate(lights)]
         for samples in {id(samples): samples for samples in (self._whole, *self._sets(working))}.values():
             samples.set_lights(light_frames)
         passes = self._passes(working, light_frames)
         stale = self._context.records.plan(light_frames, len(passes[0].lights))
-        self._launch(working, passes, source, stale)
+        self._launch(working, passes, source, stale, hidden)
         if self._planes:
             with self.stages.stage("download"):
                 self._planes.fetch(len(lights))
         # Further passes may make another light's records in the place of these.
-        silent = self._pipeline.silent(light_frames[-1])
+        silent = working[0].pipeline.silent(light_frames[-1])
         further = sum(band.finish(passes) for band in working)
         with self.stages.stage("download"):
             found = self._found(working, len(lights), further > 0)
@@ -300,7 +312,7 @@ class FrameTracer:
     def _passes(self, working: Sequence[Band], light_frames: Sequence[light_frame.LightFrame]) -> list[Rays]:
         """As many lights together as the pipeline takes and as there is room for; of the pass of a frame that has but
         one the rays may be kept."""
-        traits, count = self._pipeline.traits, max(1, *(band.samples.count for band in working))
+        traits, count = working[0].pipeline.traits, max(1, *(band.samples.count for band in working))
         together = min(traits.lights_at_once, len(light_frames), self._context.records.room())
         together = min(together, *(band.samples.bounds.max_rays // max(band.samples.count, 1) for band in working))
         again = [band.asked_again(light_frames) for band in working]
@@ -311,7 +323,7 @@ class FrameTracer:
         return [Rays(tuple(light_frames[first : first + together]), keep) for first in firsts]
 
     def _launch(
-        self, working: list[Band], passes: Sequence[Rays], source: Source | None, stale: Sequence[Changed]
+        self, working: list[Band], passes: Sequence[Rays], source: Source | None, stale: Sequence[Changed], hidden: bool
     ) -> None:
         """Everything of a frame between upload and download, further passes aside."""
         first = working[0]
@@ -320,6 +332,7 @@ class FrameTracer:
         kernels = (first.names, None if source is None else source.name, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
         self._cold |= not loaded
+        hidden |= not loaded  # so that those that trace are loaded, too
         if self._use_graphs and first.pipeline.traits.recordable:
             samples, scene, records = first.samples, self._scene, self._context.records
             key = (*kernels[:2], samples.count, samples.width, scene.triangle_count, scene.vertex_count)
@@ -328,13 +341,13 @@ class FrameTracer:
 
             def launch() -> None:
                 records.expect(stale)
-                self._run(working, passes, source, _one_after_the_other)
+                self._run(working, passes, source, _one_after_the_other, hidden)
 
             with self.stages.stage("graph"), self.stages.paused():
                 key = (*key, records.front_face_culling, *map(bool, stale))
                 self._cold |= self._graphs.run(key, launch)
         else:
-            self._run(working, passes, source, self._runner(working, loaded))
+            self._run(working, passes, source, self._runner(working, loaded), hidden)
         self._launched(kernels)
 
     def _runner(self, working: Sequence[Band], loaded: bool) -> Run:
@@ -368,6 +381,7 @@ class FrameTracer:
         passes: Sequence[Rays],
         source: Source | None,
         run: Run,
+        hidden: bool,
     ) -> None:
         """The order of a frame: of each pass first what one band makes for all of them."""
         for number, rays in enumerate(passes):
@@ -377,8 +391,9 @@ class FrameTracer:
                 begin = time.perf_counter()
                 if first:
                     band.begin(source)
-                band.project(rays)
-                band.trace(rays)
+                band.project(rays, not hidden)
+                if hidden:
+                    band.trace(rays)
                 band.busy += time.perf_counter() - begin
 
             run([partial(job, band) for band in working])

@@ -101,26 +101,23 @@ struct MaskFilter {
         third.put(forms[2], per_band, third.value);
         plane.put(forms[3], per_both, plane.value - w * off);
     }
-    // Of one that is told: which points are surely hidden and which may be, as bits.
-    // offsets: MOST along each axis.
-    inline void points(int triangle, const float* offsets, wp::uint64& sure, wp::uint64& maybe) const {
+    // Of one that is told: which points are surely hidden and which may be, as bits, of sixteen in a row all or none.
+    // offsets: MOST along each axis; wanted: those that are asked about, as bits.
+    inline void points(int triangle, const float* offsets, wp::uint64 wanted, wp::uint64& sure,
+                       wp::uint64& maybe) const {
         CONTRACTED
-        Real16 least[MOST / 16], most = -2.0f;
-        for (int k = 0; k < MOST / 16; ++k) {
-            const float* at = offsets + 16 * k;
-            const Real16 x = Lanes16::load(at), y = Lanes16::load(at + MOST), z = Lanes16::load(at + 2 * MOST);
-            least[k] = 2.0f;
-            for (int form = 0; form < FORMS; ++form)
-                least[k] = smaller(least[k], forms[form][0][triangle] + forms[form][1][triangle] * x
-                                                 + forms[form][2][triangle] * y + forms[form][3][triangle] * z);
-            most = larger(most, least[k]);
-        }
         sure = maybe = 0;
-        if (!Lanes16::bits(most > -1.0f))
-            return;
-        for (int k = 0; k < MOST / 16; ++k) {
-            sure |= (wp::uint64)Lanes16::bits(least[k] > 1.0f) << 16 * k;
-            maybe |= (wp::uint64)Lanes16::bits(least[k] > -1.0f) << 16 * k;
+        for (int k = 0; k < MOST; k += 16) {
+            if (!(wanted >> k & Lanes16::ALL))
+                continue;
+            const float* at = offsets + k;
+            const Real16 x = Lanes16::load(at), y = Lanes16::load(at + MOST), z = Lanes16::load(at + 2 * MOST);
+            Real16 least = 2.0f;
+            for (int form = 0; form < FORMS; ++form)
+                least = smaller(least, forms[form][0][triangle] + forms[form][1][triangle] * x
+                                           + forms[form][2][triangle] * y + forms[form][3][triangle] * z);
+            sure |= (wp::uint64)Lanes16::bits(least > 1.0f) << k;
+            maybe |= (wp::uint64)Lanes16::bits(least > -1.0f) << k;
         }
     }
 };

@@ -50,11 +50,15 @@ class _Part:
 
 @dataclass(frozen=True)
 class Batch:
-    """Lights that are traced together: number of the first part, the lights, and meshes that cast nothing in any."""
+    """Lights that are traced together: number of the first part, the lights, meshes that cast nothing in any, whether
+    it is asked what is hidden from them (else only where they shine), and whether they are points that could have been
+    asked about together."""
 
     first: int
     lights: list[HardLight]
     ignored: Names
+    hidden: bool
+    apart: bool
 
 
 class _Points:
@@ -122,15 +126,18 @@ class Tally:
         """All parts."""
         first = 0
         while first < len(self._parts):
-            ignored = self._ignored(first)
+            kind = self._kind(first)
             end = first
-            while end < min(len(self._parts), first + self._together) and self._ignored(end) == ignored:
+            while end < min(len(self._parts), first + self._together) and self._kind(end) == kind:
                 end += 1
-            yield Batch(first, [part.hard for part in self._parts[first:end]], ignored)
+            yield Batch(first, [part.hard for part in self._parts[first:end]], *kind)
             first = end
 
-    def _ignored(self, part: int) -> Names:
-        return ignored_by(self._lights[self._parts[part].light])
+    def _kind(self, number: int) -> tuple[Names, bool, bool]:
+        part = self._parts[number]
+        light = self._lights[part.light]
+        masked = self._masks and isinstance(light, AreaLight)
+        return ignored_by(light), not masked or part.point >= 0, masked and part.point >= 0
 
     def add(self, batch: Batch, states: States) -> None:
         """Take in the (B, N) states of a batch."""

@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 from shadow_tracer.gpu.device import native
-from shadow_tracer.gpu.exact import mask_filter
+from shadow_tracer.gpu.exact import mask_filter, mask_range
 from shadow_tracer.gpu.exact.camera_records import CameraRays, CameraTriangles
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.visibility.answers import Answers
@@ -53,6 +53,8 @@ ANY_HIT = Query("visibility/any_hit.h", AnyHit)
 
 # Points of a light that a mask has bits for.
 MASK_POINTS = mask_filter.POINTS
+# Bins along each side of a flat light, and what is behind the last.
+MASK_BINS = mask_range.BINS + 1
 # In units of the sum of the magnitudes that a determinant's terms are products of. Coordinates relative to the sample
 # are within u of exact, u = 2^-53, and so each of the six products of three is within 3 u, and the three sums and
 # products that make the determinant of them round five times more: 8 u and second orders, 9e-16. For the plane of the
@@ -70,6 +72,10 @@ class Mask:
     middle: wp.vec4d  # of a box that holds them, and its half size along each axis [m]
     extent: wp.vec3d
     offsets: wp.array(dtype=float)  # of the points from the middle, along x, y and z; for the CPU
+    flat: int  # whether they are in a plane, and there are, also for the CPU:
+    u: wp.vec3d  # half sides of a rectangle that holds them
+    v: wp.vec3d
+    beyond: wp.array(dtype=wp.uint64)  # of each bin along u, then v, those from there on (``exact/mask_range.py``)
     positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
     states: wp.array(dtype=wp.uint8)  # those that are LIT or SHADOWED ask
     every: int  # and of them one in so many

@@ -247,7 +247,7 @@ def test_masks_by_any_number_of_threads(names: tuple[str, str], monkeypatch: pyt
     assert [len(probe.bands(each)) for each in made] == [2, 3, 8]
     rng = np.random.default_rng(12)
     for step, rows in enumerate((30, 30, 40, 3, 36, 30)):
-        monkeypatch.setattr(area_lights, "most_shown", (lambda *_: 1e9, lambda *_: 1e9, lambda *_: 0.0)[step % 3])
+        monkeypatch.setattr(area_lights, "ray_cost", (lambda *_: 1e9, lambda *_: 1e9, lambda *_: 0.0)[step % 3])
         camera, bias = Camera(40, rows, 35.0, 36.0, 19.25, 14.75), Bias(0.01 * (step % 2))
         depth, points = rng.uniform(2.0, 4.5, (rows, 40)).astype(np.float32), rng.uniform(-2, 4, (1 + 150 * step, 3))
         depth[: rows // 3] = np.nan

@@ -231,17 +231,40 @@ def test_the_pilot_decides_about_time_alone(
     tracer.scene.put("mesh", *_MESHES["soup"])
     hard = PointLight("p", (0.5, 0.5, 1.0))
     disc = DiscLight("d", (0.5, -1.0, 1.5), (0.0, 1.0, 0.25), 0.5, samples=9, ignore=["mesh"])
-    found, rays = [], []
+    found, nodes = [], []
     for most in (1e9, 0.0, 1e9, 0.0):
-        monkeypatch.setattr(area_lights, "most_shown", lambda *_, most=most: most)
+        monkeypatch.setattr(area_lights, "ray_cost", lambda *_, most=most: most)
         frame = tracer.trace(_depth(), _CAMERA, [hard, _LIGHTS[light], disc], Bias(0.02))
         found.append([frame.visibility(name) for name in frame.names] + [frame.state(name) for name in frame.names])
-        rays.append(frame.counters["nodes_visited"])
+        nodes.append(frame.counters["nodes_visited"])
     for other in found[1:]:
         for mine, others in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(mine, others)
     if _LIGHTS[light].samples > 2:
-        assert rays[1] > 1.5 * rays[0], "one by one takes more steps"
+        assert nodes[2] != nodes[3], "these are two ways"
+
+
+@pytest.mark.parametrize("names", ["bvh/sah", "mesh_bvh/refit"])
+def test_points_of_large_lights_are_traced_apart(any_device: str, names: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the pilot's counts; in the CPU's form by the light grid, whose memory is reserved once. The bits are those of
+    hard lights."""
+    monkeypatch.setattr(area_lights, "PILOT", 64)
+    tracer, oracle = _tracer(names, any_device), _tracer("light_grid/packed", any_device)
+    before = tracer.device_bytes
+    for each in (tracer, oracle):
+        each.scene.put("soup", *geometry.soup(np.random.default_rng(23), 2500, 0.3, 2.5))
+    reserved, entries, small = [], [], replace(_LIGHTS["beside"], radius=0.01)
+    for light in (_LIGHTS["beside"], _LIGHTS["wide"], small, _LIGHTS["within"]) * 2:
+        frames = [each.trace(_depth(), _CAMERA, [light], Bias(0.02)) for each in (tracer, oracle)]
+        np.testing.assert_array_equal(*[frame.visibility("s") for frame in frames])
+        entries.append(frames[0].counters["entries"])
+        reserved.append(tracer.device_bytes)
+    assert len(set(reserved)) == 1 and reserved[0] >= before
+    if probe.wide(any_device):
+        assert reserved[0] > before
+        assert entries[5] > 0 and entries[7] > 0 and entries[6] == 0
+    else:
+        assert not any(entries)
 
 
 def test_the_pilot_is_spread_over_the_image(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:

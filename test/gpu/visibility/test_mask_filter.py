@@ -99,6 +99,20 @@ def test_planes_within_roundings_of_samples_starts_and_points(any_device: str, n
 
 
 @pytest.mark.parametrize("names", _WALKERS)
+@pytest.mark.parametrize("light", ["rectangle", "sphere", "line"])
+def test_points_of_the_light_within_roundings_of_triangles(any_device: str, names: str, light: str) -> None:
+    """A small triangle at each point of the light, whose plane goes by it but for 1e-9 to 1e-6 of the scene: whether
+    the point is beyond the plane is all that matters."""
+    rng, lamp = np.random.default_rng(16), _LIGHTS[light]
+    points, _ = _rays(rng, 200, lamp)
+    places = lamp.points + rng.normal(size=(64, 3)) * 10.0 ** rng.uniform(-9.0, -6.0, (64, 1))
+    along, aside = rng.normal(size=(2, 64, 3)) * (0.02, 0.02, 0.002)
+    corners = np.stack([places + along, places - along + aside, places - along - aside], axis=1)
+    mesh = corners.reshape(-1, 3), np.arange(192).reshape(-1, 3)
+    assert _some_reach(_same(mesh, points, lamp, 0.0, names, any_device), lamp)
+
+
+@pytest.mark.parametrize("names", _WALKERS)
 def test_triangles_far_off_and_steep_before_the_sun(any_device: str, names: str) -> None:
     """Farther from samples than the scene is large, times the cosine between their normals and the rays: at infinity
     only the cosine's sign matters."""
@@ -165,7 +179,7 @@ def test_any_order_of_samples(any_device: str, names: str) -> None:
 
 
 @pytest.mark.parametrize("names", _WALKERS)
-@pytest.mark.parametrize("metres", [1e-14, 1e-9, 1e12, 1e18])
+@pytest.mark.parametrize("metres", [1e-40, 1e-14, 1e-9, 1e12, 1e18, 1e36])
 def test_lengths_beyond_those_of_the_filter(any_device: str, names: str, metres: float) -> None:
     """Scenes of a size that float32 products cannot hold, and next to that."""
     rng = np.random.default_rng(13)

@@ -52,6 +52,16 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "steep_before_the_sun",
         [(_FILTER, "plane.value - w * off", "plane.value - off")],
     ),
+    "beyond the plane or not": (
+        _OWN,
+        "within_roundings_of_triangles",
+        [(_FILTER, "per_both = sign / (there + here)", "per_both = 1e20f * sign")],
+    ),
+    "lengths that float32 does not hold": (
+        _OWN,
+        "lengths_beyond",
+        [(_FILTER, "return sum > MASK_SMALLEST && sum < MASK_LARGEST && metres", "return metres > 0.0 || metres")],
+    ),
     "fronts that cast": (
         _OTHER,
         "sequences",

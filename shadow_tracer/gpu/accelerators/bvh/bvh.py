@@ -60,9 +60,9 @@ native.constants(BLOCK_BAND=2.0**-17, BLOCK_FLOOR=1e-30)
 # Rays of a bundle are no farther than that from its middle, in units of the scene's extent, and it visits no more nodes
 # and blocks for each of them. The last is how long rays of a packet may be before they are cut.
 native.constants(WIDEST=2.0**-6, PATIENCE=4, LONGEST=1e100)
-# A triangle takes 0.02 us in a bundle to 64 points where sixteen are judged in float32; a ray 0.06 to 0.3 us (BART
-# robots, conference, the red kitchen, a room of texels).
-_IN_BLOCKS = 0.0, 6.0
+# Where sixteen triangles are judged in float32, nodes and blocks cost nearly all there is to a bundle to 64 points:
+# 0.09 to 0.12 us each where there are 20 to 370 of them (BART robots, conference, two recorded rooms).
+_IN_BLOCKS = 90.0, 13.0, 0.0
 
 _QUERIES = (ANY_HIT, MASK, CLOSEST)
 # On the CPU: rays one by one, and in packets of sixteen; and a sample with all points of a light.
@@ -88,7 +88,7 @@ class Bvh(Build):
         super().__init__(variant, scene)
         self.tree = KINDS[variant](scene)
         self.walk = _THREADED if self.tree.threaded else PACKETS if forms.wide(scene.device) else _PAIRS
-        self.bundle_limit = _IN_BLOCKS if self.walk is PACKETS else Traits.bundle_limit
+        self.bundle_costs = _IN_BLOCKS if self.walk is PACKETS else Traits.bundle_costs
 
     def build(self) -> Tree:
         """Refit or build the tree."""

@@ -1,16 +1,19 @@
 // cpu
-// needs: visibility/mask.h accelerators/segment.h accelerators/bvh/bundle.h@16 exact/mask_filter.h
+// needs: visibility/mask.h accelerators/segment.h accelerators/bvh/bundle.h@16 exact/mask_filter.h exact/mask_range.h
 // constants: TREE_LANES TREE_NONE BLOCK_ROWS LEVELS
 // arguments: Tree structure
 // A sample, and all points of a light, through the tree with sixteen children per node.
 struct Walk1 {
     // Of each level at most all children but one wait.
     enum { DEPTH = TREE_LANES * (LEVELS + 1) };
+    // As many triangles of a block must be left for their ranges to be worth it.
+    enum { SEVERAL = 2 };
     MaskFilter filter;
+    MaskRange range;
     const Tree& tree;
     float longest;
     const BundleSides sides;
-    bool looks; // whether the filter can be used
+    bool looks, ranges; // whether the filter can be used, and ranges of points
 
     inline Walk1(const Tree& tree, const Segment& segment, const Query1& query)
         : tree(tree), longest(segment.longest), sides(query, segment, tree.box) {
@@ -20,25 +23,34 @@ struct Walk1 {
             from_center[k] = (sample[k] - tree.box.center[k]) * tree.box.inverse_extent;
         looks = filter.look(from_center, query.middle, query.spread(), query.shortest, query.longest, sample[3],
                             tree.box.inverse_extent, query.light()[3] == 0.0);
+        ranges = looks && query.asked.flat
+                 && range.look(query.middle, query.asked.u, query.asked.v, filter.reach, filter.unit);
     }
     // Shows a triangle; true if no point is seen any more.
     inline bool triangle(int number, int lane, Query1& query) const {
+        const wp::uint64 wanted = query.open & (ranges ? range.points(lane, query.asked.beyond.data) : query.open);
+        if (!wanted)
+            return false;
         if (!(filter.told >> lane & 1))
             return query.visit(number);
         ++query.tests;
         wp::uint64 sure = ~(wp::uint64)0, maybe = sure;
         if (!(filter.all >> lane & 1))
-            filter.points(lane, query.asked.offsets.data, sure, maybe);
-        query.judged(number, sure, maybe);
+            filter.points(lane, query.asked.offsets.data, wanted, sure, maybe);
+        query.judged(number, sure, maybe & wanted);
         return query.open == 0;
     }
     // Shows a block; true if no point is seen any more.
     inline bool block(int number, Query1& query) {
         const int* members = tree.members.data + TREE_LANES * (size_t)number;
+        const float* rows = tree.rows.data + BLOCK_ROWS * TREE_LANES * (size_t)number;
         if (looks)
-            filter.judge(tree.rows.data + BLOCK_ROWS * TREE_LANES * (size_t)number);
+            filter.judge(rows);
         else
             filter.may = Lanes16::ALL, filter.all = filter.told = 0;
+        range.known = 0;
+        if (ranges && __builtin_popcount(filter.may & ~filter.all) >= SEVERAL)
+            range.judge(rows, filter.at, filter.place);
         for (int left = filter.may; left; left &= left - 1) {
             const int lane = __builtin_ctz(left);
             if (members[lane] >= 0 && members[lane] < query.triangle_count() && triangle(members[lane], lane, query))
