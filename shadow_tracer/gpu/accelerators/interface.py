@@ -140,6 +140,11 @@ class Accelerator:
         with them, one of ``Traits.queries``."""
         raise NotImplementedError
 
+    def takes_rays(self, light: LightFrame) -> bool:
+        """Whether ``show`` looks at the rays of a light for *any hit*, with the scene as it was followed last. Those
+        that it does not look at are not made for a light at infinity, which shines on all samples."""
+        return True
+
     def more(self, rays: Rays) -> Iterator[None]:
         """What its list could not hold, as it has told ``SampleSet.parts``: shows all once more, a list at a time, and
         lets waiting pairs be decided in between. The rays are as they were before ``show``."""

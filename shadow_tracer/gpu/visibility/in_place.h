@@ -12,10 +12,13 @@ struct InPlace1 {
 
     inline explicit InPlace1(const Asked& asked)
         : asked(asked), taken(0), hider(-1), tests(0), nodes(0), retested(0), exact(0) {}
+    static inline bool has_ray(const Asked& asked, int number) {
+        return !asked.rays.shape[0] || asked.rays.data[number][0] == asked.rays.data[number][0];
+    }
     inline void take(int number) {
         if (asked.passed.shape[0] && asked.passed.data[number] == 2)
             return;
-        if (asked.states.data[number] != LIT || asked.rays.data[number][0] != asked.rays.data[number][0])
+        if (asked.states.data[number] != LIT || !has_ray(asked, number))
             return;
         ray[0] = number;
         taken = 1;

@@ -64,6 +64,22 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "beside_terrain",
         [("accelerators/surfaces.py", "self._rest.follow(others)", "self._rest.follow([])")],
     ),
+    "meshes aside are shown no rays of suns": (
+        _FIELD,
+        "beside_terrain",
+        [
+            (
+                "accelerators/surfaces.py",
+                "light.light[3] != 0.0 or self._rest.triangle_count > 0",
+                "light.light[3] != 0.0",
+            )
+        ],
+    ),
+    "lamps shine on all samples": (
+        _FIELD,
+        "beside_terrain or terrain",
+        [("accelerators/surfaces.py", "return light.light[3] != 0.0 or self", "return self")],
+    ),
     "pairs of meshes named as those of the scene": (
         _FIELD,
         "beside_terrain and cuda_form",
@@ -75,10 +91,40 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
             )
         ],
     ),
-    "lit above the highest corner but for the next line": (
+    "lit above what a band has of lines alone": (
         _SWEPT,
-        "suns or every_way",
-        [(_SWEEP, "hides = larger(z - risen, larger(beyond - risen_next, hides));", "")],
+        "between_two_lines",
+        [(_SWEEP, "strip ? larger(edges, most) : corners", "strip ? most : corners")],
+    ),
+    "lit above what is whole": (
+        _SWEPT,
+        "suns or hole",
+        [(_SWEEP, "strip ? larger(edges, most) : corners", "larger(edges, most)")],
+    ),
+    "diagonals of bands as if nothing were mirrored": (
+        _SWEPT,
+        "between_two_lines or suns",
+        [(_SWEEP, "if (sweep.mirrored)", "if (false)")],
+    ),
+    "a stretch without its last line": (
+        _SWEPT,
+        "stretches",
+        [(_SWEEP, "stretch = whole ? most : corners;", "stretch = -infinity;")],
+    ),
+    "a stretch is a line": (
+        _SWEPT,
+        "stretches",
+        [(_SWEEP, "stretch = larger(here_and_on, stretch);", "stretch = here_and_on;")],
+    ),
+    "stretches begin on any line": (
+        _SWEPT,
+        "stretches",
+        [(_PROFILE, " & (stretch == down(stretch))", "")],
+    ),
+    "hidden by what is behind": (
+        _SWEPT,
+        "suns or stretches",
+        [(_PROFILE, "bounded(active & (x == line) & (side != 0.0), line);", "bounded(active, line);")],
     ),
     "a strip is whole where quads are missing": (
         _SWEPT,
@@ -162,7 +208,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "points that do not ask": (
         _SWEPT,
         "invalid",
-        [(_LOOK, "(asked.states.data[ray] == LIT) & (start == start)", "(start == start || true)")],
+        [(_LOOK, "(asked.states.data[ray] == LIT)", "true")],
     ),
     "a larger bias than there is": (
         _SWEPT,
