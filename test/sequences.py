@@ -190,7 +190,7 @@ class _Terrain:
             elif kind == "deform" and name != "soup":
                 positions = self._shown[name][0] + rng.normal(0.0, 0.2, 3)
                 self._shown[name] = positions, self._shown[name][1]
-                yield lambda scene, name=name, to=np.nan_to_num(positions): scene.deform_surface(name, to)
+                yield _deform(name, np.nan_to_num(positions))
             else:
                 self._shown[name] = self._shown[name][0], _pose(rng)
                 yield lambda scene, name=name, pose=self._shown[name][1]: scene.move(name, pose)
@@ -228,6 +228,10 @@ class _Terrain:
                 ignored = ["soup"] if self._rng.random() < 0.1 else []
                 made[number] = DirectionalLight(light.name, way, ignore=ignored)
         return tuple(made)
+
+
+def _deform(name: str, positions: np.ndarray) -> Change:
+    return lambda scene: scene.deform_surface(name, positions)
 
 
 def _show(name: str, surface: np.ndarray, pose: np.ndarray) -> Change:
