@@ -22,7 +22,7 @@ struct WIDE(Profile) {
     Truth clear;       // it has met nothing so far
     Truth active;      // those of which it is not known
     Truth lit, hidden; // what has been found out
-    wp::int64 strips;          // that they have crossed, all together
+    wp::int64 strips;  // that they have crossed, all together
 
     inline WIDE(Profile)(const Sweep& sweep, const float* heights, const float* bounds)
         : sweep(sweep), heights(heights), bounds(bounds), strips(0) {}

@@ -190,8 +190,8 @@ class Sweeps:
         self.sweep.number = -1
         if cull or towards[3] != 0.0 or not placed or self._scene.left_out:
             return
-        largest = max(placed, key=lambda each: len(each.mesh.triangles))
-        if samples * _SHARE < len(largest.mesh.triangles) // 2:
+        largest = max(placed, key=lambda each: each.mesh.triangle_count)
+        if samples * _SHARE < largest.mesh.triangle_count // 2:
             return
         number = charts.placed.index(largest)
         sweep = _sweep(number, charts.on_device[number], towards[:3])

@@ -13,6 +13,7 @@ _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sw
 _LOOK = _ROOM + "first_look.h"
 _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
+_DEPTH = "test_depth_charts.py"
 
 
 _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
@@ -90,6 +91,13 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
                 "if False:\n            context",
             )
         ],
+    ),
+    "heights of the first triangle of a quad": (_DEPTH, "steps or other", [(_NODES, "j < 6", "j < 3")]),
+    "no triangle has a corner at the camera": (_DEPTH, "lies_at_the_camera", [(_NODES, "lost |= !(h == h);", "")]),
+    "the chart of the whole image at every step": (
+        _DEPTH,
+        "steps",
+        [("../scene/chart.py", "[0.0, camera.fy, camera.cy]]) / step", "[0.0, camera.fy, camera.cy]])")],
     ),
     "lit above what a band has of lines alone": (
         _SWEPT,
