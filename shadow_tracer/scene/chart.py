@@ -5,8 +5,9 @@ Two kinds of surfaces are: the *parallel* kind, heights along one of the axes x,
 of the other two (terrain), and the *central* kind, positions along the rays of a pinhole camera in the origin that
 looks along z, whose height is 1/z (a depth image). Either map takes lines to lines and planes to planes.
 
-It is found by a fit, or follows from the camera where the surface is that of a depth image. Nothing is right or wrong because of it: what a pipeline makes of it is measured once more on the
-device, and a surface that has no chart is a mesh like any other.
+It is found by a fit, or follows from the camera where the surface is that of a depth image. Nothing is right or wrong
+because of it: what a pipeline makes of it is measured once more on the device, and a surface that has no chart is a
+mesh like any other.
 """
 
 from __future__ import annotations

@@ -88,6 +88,7 @@ light ignores a mesh.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,7 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Structure, Sweep
 from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import InPlace
@@ -182,7 +184,7 @@ class Sweeps:
         """The bounds are to be made once more, whatever is there."""
         self._made_for = None
 
-    def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool) -> None:
+    def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool, workers: Workers) -> None:
         """Sweep the largest chart of terrain, if that is worth it for so many samples and has not been done."""
         towards = np.array(light.light)
         placed = [each for each in charts.placed if each.chart.parallel]
@@ -200,18 +202,26 @@ class Sweeps:
         made_for = (*largest.key, *towards)
         if self._made_for != made_for:
             self._made_for = None
-            self._launch(sweep, charts)
+            self._launch(sweep, charts, workers)
             self._made_for = made_for
         self.sweep = sweep
 
-    def _launch(self, sweep: Sweep, charts: Charts) -> None:
+    def _launch(self, sweep: Sweep, charts: Charts, workers: Workers) -> None:
         drift, device = sweep.drift * (sweep.lines - 1), self._scene.device
         first, last = math.floor(min(-drift, 0.0)) - 1, math.floor(max(-drift, 0.0)) + sweep.across + 1
-        inputs, count = [sweep, first, charts.structure.heights, self.bounds], last - first + 1
-        if forms.wide(device):
-            wp.launch(sweep_band_blocks, dim=-(-count // int(_LANES)), inputs=inputs, device=device)
-        else:
-            wp.launch(sweep_bands, dim=count, inputs=inputs, device=device)
+        heights, count = charts.structure.heights, last - first + 1
+        if not forms.wide(device):
+            wp.launch(sweep_bands, dim=count, inputs=[sweep, first, heights, self.bounds], device=device)
+            return
+        wp.load_module(sweep_band_blocks.module, device, max_workers=0)  # not by several threads at once
+
+        def some(begin: int, end: int) -> None:
+            inputs = [sweep, first + int(_LANES) * begin, heights, self.bounds]
+            wp.launch(sweep_band_blocks, dim=end - begin, inputs=inputs, device=device)
+
+        blocks = -(-count // int(_LANES))
+        parts = min(workers.count, blocks)
+        workers.run([partial(some, blocks * k // parts, blocks * (k + 1) // parts) for k in range(parts)])
 
     def nbytes(self) -> int:
         """Bytes on the device."""
