@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from shadow_tracer.ros.wire.grid_map import DEFINITIONS
+from shadow_tracer.ros.wire.grid_map import DEFINITIONS, GRID_MAP, GRID_MAP_INFO
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 for _name, _text in DEFINITIONS.items():
@@ -166,10 +166,13 @@ class BagMaker:
 
 
 def ros1_types() -> Any:
-    """The types of ROS 1 Noetic, with those of tf2."""
+    """The types of ROS 1 Noetic, with those of tf2 and of grid_map."""
     types = get_typestore(Stores.ROS1_NOETIC)
     for kind in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
         types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    header = "std_msgs/Header header\n"
+    types.register(get_types_from_msg(header + DEFINITIONS[GRID_MAP_INFO], GRID_MAP_INFO))
+    types.register(get_types_from_msg(DEFINITIONS[GRID_MAP].removeprefix(header), GRID_MAP))
     return types
 
 
@@ -186,7 +189,10 @@ def ros1_bytes(data: bytes, kind: str, number: int, types: Any) -> bytes:
         message = TYPES.deserialize_cdr(data, kind)
     except SerdeError:
         return data
-    raw = bytearray(types.serialize_ros1(older(message, types), kind))
+    old = older(message, types)
+    if kind == GRID_MAP:  # whose header is in its info
+        old.info.header = older(message.header, types)
+    raw = bytearray(types.serialize_ros1(old, kind))
     if TYPES.fielddefs[kind][1][0][0] == "header":
         raw[:4] = number.to_bytes(4, "little")
     return bytes(raw)

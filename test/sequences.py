@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random sequences of unlike frames: sample counts from one to the capacity and back, images and points in turn, mixed
-lights, cameras and biases, meshes put, moved, deformed and removed; with the states that each frame must have.
+lights, cameras and biases, meshes put, moved, deformed and removed, and if so wished surfaces with suns over them; with
+the states that each frame must have.
 
 What a frame must answer is asked of a ``brute_force`` tracer that is made for this frame alone.
 """
@@ -15,6 +16,7 @@ from typing import Any
 import geometry
 import numpy as np
 import probe
+import surfaces
 
 from shadow_tracer import (
     Bias,
@@ -22,6 +24,7 @@ from shadow_tracer import (
     Camera,
     DirectionalLight,
     DiscLight,
+    HeightField,
     PointLight,
     RectangleLight,
     ShadowTracer,
@@ -86,17 +89,19 @@ class Step:
 
 
 @cache
-def sequence(seed: int, length: int, fresh: bool = False) -> tuple[Step, ...]:
-    """``length`` frames; ``fresh``: everything is new in each of them."""
+def sequence(seed: int, length: int, fresh: bool = False, terrain: bool = False) -> tuple[Step, ...]:
+    """``length`` frames; ``fresh``: everything is new in each of them; ``terrain``: of surfaces, most of them in the
+    sun."""
     rng = np.random.default_rng(seed)
-    model = _Model(rng)
+    model = _Terrain(rng) if terrain else _Model(rng)
     steps = []
     for _ in range(length):
         changes = tuple(model.change(fresh))
         plain = bool(rng.random() < 0.5)
-        asked = Step(
-            changes, *_query(rng, plain), _lights(rng, plain), _bias(rng), bool(rng.random() < 0.2), np.zeros(0)
-        )
+        query, lights = _query(rng, plain), _lights(rng, plain)
+        if isinstance(model, _Terrain):
+            query, lights = model.query(query), model.lights(lights)
+        asked = Step(changes, *query, lights, _bias(rng), bool(rng.random() < 0.2), np.zeros(0))
         reference = ShadowTracer("brute_force", device="cpu", bounds=ROOMY, threads=1)
         for change in model.whole():
             change(reference.scene)
@@ -156,6 +161,85 @@ class _Model:
         mesh = vertices + (0.0, 0.0, 4.0), triangles, _pose(rng) if rng.random() < 0.3 else np.eye(4)
         self._meshes[name] = mesh
         return _put(name, *mesh)
+
+
+class _Terrain:
+    """Maps and depth images, with a mesh beside them at times."""
+
+    def __init__(self, rng: Rng) -> None:
+        self._rng = rng
+        self._shown: dict[str, tuple[Any, np.ndarray]] = {}
+
+    def whole(self) -> Iterator[Change]:
+        for name, (surface, pose) in self._shown.items():
+            yield _show(name, surface, pose)
+
+    def change(self, fresh: bool) -> Iterator[Change]:
+        rng = self._rng
+        if fresh or rng.random() < 0.08:
+            self._shown.clear()
+            yield lambda scene: scene.clear()
+        for name in rng.choice(["map", "map", "hill", "image", "soup"], 1 + fresh, replace=False):
+            kind = rng.choice(["put", "deform", "move", "remove"])
+            if name not in self._shown or kind == "put":
+                self._shown[name] = self._surface(name), _pose(rng) if rng.random() < 0.3 else np.eye(4)
+                yield _show(name, *self._shown[name])
+            elif kind == "remove":
+                del self._shown[name]
+                yield lambda scene, name=name: scene.remove(name)
+            elif kind == "deform" and name != "soup":
+                positions = self._shown[name][0] + rng.normal(0.0, 0.2, 3)
+                self._shown[name] = positions, self._shown[name][1]
+                yield _deform(name, np.nan_to_num(positions))
+            else:
+                self._shown[name] = self._shown[name][0], _pose(rng)
+                yield lambda scene, name=name, pose=self._shown[name][1]: scene.move(name, pose)
+
+    def _surface(self, name: str) -> np.ndarray:
+        """(R, C, 3), NaN where it has holes; (3, 3) of the mesh."""
+        rng = self._rng
+        if name == "soup":
+            return rng.normal(size=(3, 3)) + (0.0, 0.0, 4.0)
+        rows, columns = (int(rng.choice([2, 9, 12] if name == "map" else [3, 8])) for _ in range(2))
+        if name == "image":
+            return 2.0 * surfaces.depth_surface(rng, rows, columns)
+        z = 5.0 - 0.4 * surfaces.terrain(rng, rows, columns) - (2.0 if name == "hill" else 0.0)
+        if rng.random() < 0.3:
+            z[rng.random(z.shape) < 0.1] = np.nan
+        return HeightField(z, 6.0 / max(rows, columns), (-3.0, 3.0, 0.0)).positions()
+
+    def query(self, query: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+        """Half of the points are positions, or near to one."""
+        points, rng = query[2], self._rng
+        shown = [surfaces.moved(pose, each.reshape(-1, 3)) for each, pose in self._shown.values()]
+        if points is None or not shown:
+            return query
+        known = np.concatenate(shown)
+        some = known[rng.integers(0, len(known), len(points) // 2)]
+        points[: len(some)] = some + rng.choice([0.0, 0.05, -0.5], (len(some), 1)) * (0.0, 0.0, 1.0)
+        return None, None, points
+
+    def lights(self, lights: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Three of four are suns, low ones mostly."""
+        made = list(lights)
+        for number, light in enumerate(made):
+            if self._rng.random() < 0.75:
+                way = self._rng.normal(size=3) * (1.0, 1.0, self._rng.choice([0.05, 0.3, 2.0]))
+                ignored = ["soup"] if self._rng.random() < 0.1 else []
+                made[number] = DirectionalLight(light.name, way, ignore=ignored)
+        return tuple(made)
+
+
+def _deform(name: str, positions: np.ndarray) -> Change:
+    return lambda scene: scene.deform_surface(name, positions)
+
+
+def _show(name: str, surface: np.ndarray, pose: np.ndarray) -> Change:
+    """A surface, or the mesh."""
+    if surface.ndim == 2:
+        return _put(name, surface, np.array([(0, 1, 2)]), pose)
+    valid, positions = np.isfinite(surface).all(axis=2), np.nan_to_num(surface)
+    return lambda scene: scene.put_surface(name, positions, valid, pose)
 
 
 def _half_plane(rng: Rng) -> np.ndarray:

@@ -5,8 +5,9 @@ Two kinds of surfaces are: the *parallel* kind, heights along one of the axes x,
 of the other two (terrain), and the *central* kind, positions along the rays of a pinhole camera in the origin that
 looks along z, whose height is 1/z (a depth image). Either map takes lines to lines and planes to planes.
 
-It is found by a fit. Nothing is right or wrong because of it: what a pipeline makes of it is measured once more on the
-device, and a surface that has no chart is a mesh like any other.
+It is found by a fit, or follows from the camera where the surface is that of a depth image. Nothing is right or wrong
+because of it: what a pipeline makes of it is measured once more on the device, and a surface that has no chart is a
+mesh like any other.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.parts import DepthSurface
 
 STEPS = 65535.0
 """Heights within a chart go from 0 to this."""
@@ -64,6 +66,26 @@ def find_chart(vertices: FloatArray, grid: tuple[int, int]) -> Chart | None:
         return _parallel(points, center, extent) or _central(points, center, extent, float(low[2]), float(high[2]))
 
 
+def depth_chart(surface: DepthSurface) -> Chart | None:
+    """The chart of a depth image's surface, without asking for its vertices; None if it has none: no pixel is measured,
+    or the camera has a table of rays."""
+    camera, step = surface.camera, surface.step
+    picked = surface.image[::step, ::step]
+    known = picked[(picked > 0) & (picked < np.inf)]
+    if camera.rays is not None or min(surface.corners) < 2 or not known.size:
+        return None
+    scale = 1000.0 if known.dtype == np.uint16 else 1.0
+    near, far = float(known.min()) / scale, float(known.max()) / scale
+    low, high = surface.box()
+    low[2] = near
+    center = 0.5 * low + 0.5 * high
+    extent = max(float((high - center).max()), 1e-30)
+    found = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy]]) / step
+    with np.errstate(all="ignore"):
+        chart = _over_rays(found, center, extent, near, far)
+    return chart if np.isfinite(chart.rows).all() else None
+
+
 _EXTREMES = np.fmin.reduce, np.fmax.reduce  # of what is not NaN
 
 
@@ -86,8 +108,11 @@ def _central(points: FloatArray, center: FloatArray, extent: float, low: float, 
     if not low > 0.0:
         return None
     found = _fit(points[..., 0] / points[..., 2], points[..., 1] / points[..., 2])
-    if found is None:
-        return None
+    return None if found is None else _over_rays(found, center, extent, low, high)
+
+
+def _over_rays(found: FloatArray, center: FloatArray, extent: float, low: float, high: float) -> Chart:
+    """The chart of what is between two depths, with the affine map from (x/z, y/z, 1) to column and row."""
     rows = np.zeros((4, 4))
     rows[:2, :3] = found
     rows[3, 2] = 1.0

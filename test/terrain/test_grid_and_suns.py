@@ -75,6 +75,34 @@ def test_the_sun_of_the_solar_position_algorithm() -> None:
     assert np.allclose(found.towards[0], published, atol=1e-4)
 
 
+# Azimuth and apparent elevation by pvlib 0.16.1, get_solarposition(method="nrel_numpy", pressure=101000,
+# temperature=15): dusk and noon, winter, the southern hemisphere, a midnight sun, the zenith, 2000 and 2040.
+PVLIB = [
+    ("2026-06-21T04:30Z", 46.5, 9.8, 64.5579, 8.4379),
+    ("2026-06-21T11:20Z", 46.5, 9.8, 178.4712, 66.938),
+    ("2026-06-21T18:50Z", 46.5, 9.8, 301.468, 3.2943),
+    ("2026-12-21T08:00Z", 46.5, 9.8, 135.1867, 7.0139),
+    ("2026-12-21T15:00Z", 46.5, 9.8, 229.1085, 4.27),
+    ("2026-03-20T12:00Z", -33.4, -70.6, 80.1681, 14.6582),
+    ("2026-09-22T20:30Z", -33.4, -70.6, 288.5224, 25.6608),
+    ("2026-06-21T23:00Z", 78.2, 15.6, 0.1131, 11.7113),
+    ("2026-03-18T11:00Z", 78.2, 15.6, 178.566, 11.0224),
+    ("2026-03-20T05:27Z", 0.0, 100.0, 139.8964, 89.7995),
+    ("2000-01-01T02:00Z", 0.0, 100.0, 118.7974, 35.6024),
+    ("2040-07-14T09:00Z", 0.0, 100.0, 296.1642, 33.6077),
+]
+
+
+@needs_ephem
+@pytest.mark.parametrize(("when", "latitude", "longitude", "azimuth", "elevation"), PVLIB)
+def test_the_sun_of_pvlib(when: str, latitude: float, longitude: float, azimuth: float, elevation: float) -> None:
+    """Within a hundredth of the sun's disc; they differ by what they say of refraction."""
+    found, (a, h) = suns([when], Place(latitude, longitude), interval=60.0), np.radians([azimuth, elevation])
+    theirs = np.array([np.cos(h) * np.sin(a), np.cos(h) * np.cos(a), np.sin(h)])
+    assert np.degrees(np.linalg.norm(found.towards[0] - theirs)) < 0.005
+    assert found.elevation[0] == pytest.approx(elevation, abs=0.005)
+
+
 @needs_ephem
 def test_grid_north_that_points_east_of_north_turns_the_sun_west() -> None:
     plain = suns(["2026-06-21T09:00Z"], Place(46.0, 8.0), interval=60.0)

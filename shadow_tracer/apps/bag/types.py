@@ -2,12 +2,13 @@
 """Messages of other ROS versions as ROS 2 Jazzy defines them: ROS 1, and types that have got further fields since.
 
 Nothing is guessed: a type may lack only fields that no shadow depends on, and have beyond Jazzy's only the sequence
-number of ROS 1's header.
+number of ROS 1's header. A grid map of ROS 1 has its header in its info.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +18,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from shadow_tracer.apps.bag.files import ZSTD
-from shadow_tracer.ros.wire.grid_map import DEFINITIONS
+from shadow_tracer.ros.wire.grid_map import DEFINITIONS, GRID_MAP, GRID_MAP_INFO
 from shadow_tracer.ros.wire.messages import MessageError
 
 USUAL = get_typestore(Stores.ROS2_JAZZY)
@@ -58,6 +59,8 @@ class Types:
         usual = usual_name(kind)
         if kind not in self.store.fielddefs or usual not in USUAL.fielddefs:
             return None
+        if kind == GRID_MAP and not self.is2 and self._has_header_in_info():
+            return partial(_guarded, kind, self._grid_map)
         if self._same(kind, usual):
             return partial(_guarded, kind, _plain if self.is2 else partial(USUAL.ros1_to_cdr, typename=usual))
         return partial(_guarded, kind, partial(self._migrate, kind, usual)) if self._fits(kind, usual) else None
@@ -101,6 +104,23 @@ class Types:
         if ours[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             return theirs[1][1] == ours[1][1] and self._alike(theirs[1][0], ours[1][0], compare)
         return bool(theirs[1] == ours[1])
+
+    def _has_header_in_info(self) -> bool:
+        """Whether a grid map is that of ROS 1."""
+        for kind, add, drop in ((GRID_MAP, set(), {"header"}), (GRID_MAP_INFO, {"header"}, set())):
+            ours, theirs = (dict(store.fielddefs.get(kind, ((), ()))[1]) for store in (USUAL, self.store))
+            if theirs.keys() != (ours.keys() - drop) | add:
+                return False
+            for name in ours.keys() & theirs.keys():
+                if theirs[name][1] != GRID_MAP_INFO and not self._alike(theirs[name], ours[name], self._fits):
+                    return False
+        return self._fits(_HEADER, _HEADER)
+
+    def _grid_map(self, data: bytes) -> Any:
+        message = self.store.deserialize_ros1(data, GRID_MAP)
+        moved: Any = migrate_message(self.store, USUAL, GRID_MAP, GRID_MAP, self._cache, message)
+        header = migrate_message(self.store, USUAL, _HEADER, _HEADER, self._cache, message.info.header)
+        return USUAL.serialize_cdr(replace(moved, header=header), GRID_MAP)
 
     def _migrate(self, kind: str, usual: str, data: bytes) -> Any:
         read = self.store.deserialize_cdr if self.is2 else self.store.deserialize_ros1

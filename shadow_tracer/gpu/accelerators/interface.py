@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from shadow_tracer.gpu.device.shared import Shared
 from shadow_tracer.gpu.device.stages import Stages
+from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
@@ -48,14 +49,19 @@ class Rays:
 
 @dataclass(frozen=True)
 class Context:
-    """What an accelerator works on. Scene, records and what is shared belong to all of a tracer; frame and stages to
-    those that work on the same rays."""
+    """What an accelerator works on. Scene, records, workers and what is shared belong to all of a tracer; frame and
+    stages to those that work on the same rays.
+
+    Attributes:
+        workers: threads for what one band makes for all (``aim``); inside of ``show`` they are busy.
+    """
 
     samples: SampleSet
     scene: SceneBuffers
     records: TriangleRecords
     stages: Stages
     shared: Shared = field(default_factory=Shared)
+    workers: Workers = field(default_factory=lambda: Workers(1))
 
     def answers(self, rays: Rays) -> Answers:
         """Where the answers of a pass go."""
@@ -144,6 +150,11 @@ class Accelerator:
         """Show rays every triangle that could be in between, in any order, any number of times. ``query``: what is done
         with them, one of ``Traits.queries``."""
         raise NotImplementedError
+
+    def takes_rays(self, light: LightFrame) -> bool:
+        """Whether ``show`` looks at the rays of a light for *any hit*, with the scene as it was followed last. Those
+        that it does not look at are not made for a light at infinity, which shines on all samples."""
+        return True
 
     def more(self, rays: Rays) -> Iterator[None]:
         """What its list could not hold, as it has told ``SampleSet.parts``: shows all once more, a list at a time, and

@@ -47,6 +47,10 @@ class Surfaces(Accelerator):
         """Records of the meshes."""
         self._rest.aim(lights)
 
+    def takes_rays(self, light: LightFrame) -> bool:
+        """Not of a light at infinity where there is nothing but surfaces: all samples have one."""
+        return light.light[3] != 0.0 or self._rest.triangle_count > 0
+
     def show(self, rays: Rays, query: Query) -> None:
         """Send the rays of the light through the meshes, and those that are left through the surfaces."""
         context, samples, asked = self._context, self._context.samples, InPlace()
@@ -56,7 +60,9 @@ class Surfaces(Accelerator):
             return
         asked.light, asked.cull = rays.light.light, int(context.records.front_face_culling)
         asked.triangle_count = context.scene.triangle_count
-        asked.positions, asked.rays, asked.states = samples.positions, samples.rays, samples.states_of(rays.first)
+        asked.positions, asked.states = samples.positions, samples.states_of(rays.first)
+        if self.takes_rays(rays.light):
+            asked.rays = samples.rays
         asked.vertices, asked.triangles = context.scene.vertices, context.scene.triangles
         asked.counters = samples.counters
         with context.stages.stage("trace"):

@@ -61,6 +61,11 @@ class Rest:
         bounds, device = context.samples.bounds, context.samples.device
         self._waiting = None if forms.wide(device) else WaitingPairs(bounds.max_rays, bounds.queue_capacity, device)
 
+    @property
+    def triangle_count(self) -> int:
+        """Numbers of triangles, gaps among them; 0 if there is no mesh."""
+        return self._copy.scene.triangle_count
+
     def follow(self, meshes: Sequence[Mesh]) -> None:
         """Take these meshes, as they are now."""
         scene = self._copy.scene

@@ -25,7 +25,7 @@ from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples import normals, pixels
 from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
-from shadow_tracer.gpu.samples.rays import project
+from shadow_tracer.gpu.samples.rays import project, project_without_rays
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, MASK_BINS, MASK_POINTS, Mask
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
@@ -119,7 +119,10 @@ class Band:
     def _project(self, rays: Rays, counted: bool = False) -> None:
         with self.stages.stage("project"):
             for place, light in enumerate(rays.lights):
-                project(self.samples, light.number, place, counted)
+                if self.pipeline.takes_rays(light):
+                    project(self.samples, light.number, place, counted)
+                else:
+                    project_without_rays(self.samples, light.number)
 
     def trace(self, rays: Rays) -> None:
         """Find their occluders."""

@@ -93,10 +93,10 @@ class FrameTracer:
         self._planes = StatePlanes(self._whole) if mirrored else None
         self._scene, self._synced = scene, Revision()
         records = TriangleRecords(bounds, self._scene, self._whole.light_frame_of, self._whole.host)
-        self._context = Context(self._whole, self._scene, records, self.stages)
+        self._context = Context(self._whole, self._scene, records, self.stages, workers=workers)
         self._anchor: Anchor | None = None
         self._lights: tuple[object, ...] = ()
-        self._samples = Samples(forms.wide(device) and not graphs)
+        self._samples = Samples(forms.wide(device) and not graphs, workers)
         self.take(*self.make_bands(names, chooser))
 
     def make_bands(self, names: Names, chooser: Chooser | None) -> tuple[Chooser | None, dict[Names, list[Band]]]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +12,9 @@ import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.samples.pinhole import make_pinhole
-from shadow_tracer.gpu.samples.same_points import same_points
+from shadow_tracer.gpu.samples.same_points import load_comparison, same_points
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.camera import Camera, RayTable
@@ -44,10 +46,12 @@ class Samples:
     Args:
         compare: whether what comes is compared with it first, so that nothing is made again of the same. On the CPU
             that takes a tenth of the time that samples, rays and their order take; a GPU would have to be waited for.
+        workers: threads that compare.
     """
 
-    def __init__(self, compare: bool) -> None:
+    def __init__(self, compare: bool, workers: Workers | None = None) -> None:
         self._compare = compare
+        self._workers = workers or Workers(1)
         self._depth: tuple[SampleSet, np.dtype[Any], int] | None = None  # where the image is, its format, its pixels
         self._source: tuple[Hashable, Parts] | None = None  # what the samples in the buffers were made of
         self._table: RayTable | None = None  # what the buffers' ray table holds
@@ -91,7 +95,7 @@ class Samples:
         they are now."""
         parts = _parts_of(frames)
         good = (np.ones(len(points), np.bool_) if valid is None else valid).view(np.uint8)
-        if self._compare and self._source == (("points", bias), parts) and _are_there(parts, points, good):
+        if self._compare and self._source == (("points", bias), parts) and self._are_there(parts, points, good):
             return True
         self._source = None
         for frame, first, size in parts:
@@ -105,6 +109,20 @@ class Samples:
             frame.upload(frame.valid, good[first : first + size])
         self._source = ("points", bias), parts
         return False
+
+    def _are_there(self, parts: Parts, points: FloatArray, good: npt.NDArray[np.uint8]) -> bool:
+        points, good = np.ascontiguousarray(points), np.ascontiguousarray(good)
+        found = [False] * len(parts)
+
+        def compare(number: int) -> None:
+            frame, first, size = parts[number]
+            some = slice(first, first + size)
+            found[number] = same_points(points[some], good[some], frame.positions, frame.valid)
+
+        jobs = [partial(compare, number) for number in range(len(parts))]
+        load_comparison(parts[0][0].device)
+        self._workers.run(jobs)
+        return all(found)
 
     def holds(self, depth: np.ndarray) -> bool:
         """Whether ``depth`` is, bit for bit, the depth image that came last, whatever points have come since. Waits
@@ -130,14 +148,6 @@ def _look(depth: np.ndarray, camera: Camera, bias: Bias) -> Hashable:
 
 def _parts_of(frames: Sequence[SampleSet]) -> Parts:
     return [(frame, frame.first, frame.count) for frame in frames]
-
-
-def _are_there(parts: Parts, points: FloatArray, good: npt.NDArray[np.uint8]) -> bool:
-    points, good = np.ascontiguousarray(points), np.ascontiguousarray(good)
-    return all(
-        same_points(points[first : first + size], good[first : first + size], frame.positions, frame.valid)
-        for frame, first, size in parts
-    )
 
 
 def _equal(pairs: list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]) -> bool:

@@ -20,6 +20,7 @@ from shadow_tracer.gpu.samples.sample_set import SampleSet
 # Samples per thread of the vectorised loop.
 _BLOCK = 256
 native.constants(PROJECT_BLOCK=_BLOCK)
+_SHONE_ON = 4096  # samples per thread where no rays are made
 
 
 @native.func_native("samples/project.h", calls="Project::one")
@@ -81,6 +82,39 @@ def project_blocks(
     counters: wp.array2d(dtype=wp.int64),
 ):
     project_block(wp.tid() * _BLOCK, count, light[0], counted, RAYS, samples, valid, rays, states, counters)
+
+
+@native.func_native("samples/sun_states.h", calls="SunStates::some")
+def states_in_sun(
+    first: int,
+    last: int,
+    column: int,
+    valid: wp.array(dtype=wp.uint8),
+    states: wp.array(dtype=wp.uint8),
+    counters: wp.array2d(dtype=wp.int64),
+):
+    """States of some samples before tracing, for a light that shines on all of them; each that is valid counts as a
+    ray."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def shine(
+    count: int,
+    block: int,
+    valid: wp.array(dtype=wp.uint8),
+    states: wp.array(dtype=wp.uint8),
+    counters: wp.array2d(dtype=wp.int64),
+):
+    first = wp.tid() * block
+    states_in_sun(first, wp.min(first + block, count), RAYS, valid, states, counters)
+
+
+def project_without_rays(buffers: SampleSet, light: int) -> None:
+    """What ``project`` makes for a light at infinity, but for the rays."""
+    block = _SHONE_ON if forms.wide(buffers.device) else 1
+    inputs = [buffers.count, block, buffers.valid, buffers.states_of(light), buffers.counters]
+    wp.launch(shine, dim=-(-buffers.count // block), inputs=inputs, device=buffers.device)
 
 
 def project(buffers: SampleSet, light: int, place: int, counted: bool = False) -> None:

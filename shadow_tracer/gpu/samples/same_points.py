@@ -9,9 +9,19 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from shadow_tracer.gpu.device import native
 from shadow_tracer.scene.checks import FloatArray
 
 _BLOCK = wp.constant(1024)
+
+
+@native.func_native("samples/same_points.h", calls="SamePoints::differ")
+def points_differ(
+    first: int, last: int, points: wp.array(dtype=wp.vec3d), good: wp.array(dtype=wp.uint8),
+    held: wp.array(dtype=wp.vec4d), valid: wp.array(dtype=wp.uint8),
+) -> int:  # fmt: skip
+    """Whether a coordinate or a mark of some points is another one; NaN is."""
+    ...
 
 
 @wp.kernel(enable_backward=False)
@@ -19,13 +29,15 @@ def compare_points(
     points: wp.array(dtype=wp.vec3d), good: wp.array(dtype=wp.uint8), held: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8), different: wp.array(dtype=int),
 ):  # fmt: skip
-    """``different[0]`` becomes 1 where a coordinate or a mark of a block is another one; NaN is."""
+    """``different[0]`` becomes 1 where a block has a difference."""
     begin = wp.tid() * _BLOCK
-    for i in range(begin, wp.min(begin + _BLOCK, points.shape[0])):
-        p = points[i]
-        q = held[i]
-        if not (p[0] == q[0] and p[1] == q[1] and p[2] == q[2]) or good[i] != valid[i]:
-            different[0] = 1
+    if points_differ(begin, wp.min(begin + _BLOCK, points.shape[0]), points, good, held, valid) != 0:
+        different[0] = 1
+
+
+def load_comparison(device: Any) -> None:
+    """Load the kernel, which several threads must not be the first to launch."""
+    wp.load_module(compare_points.module, device, max_workers=0)
 
 
 def same_points(points: FloatArray, good: npt.NDArray[np.uint8], held: wp.array, valid: wp.array) -> bool:

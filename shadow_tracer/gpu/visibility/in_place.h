@@ -12,10 +12,13 @@ struct InPlace1 {
 
     inline explicit InPlace1(const Asked& asked)
         : asked(asked), taken(0), hider(-1), tests(0), nodes(0), retested(0), exact(0) {}
+    static inline bool has_ray(const Asked& asked, int number) {
+        return !asked.rays.shape[0] || asked.rays.data[number][0] == asked.rays.data[number][0];
+    }
     inline void take(int number) {
         if (asked.passed.shape[0] && asked.passed.data[number] == 2)
             return;
-        if (asked.states.data[number] != LIT || asked.rays.data[number][0] != asked.rays.data[number][0])
+        if (asked.states.data[number] != LIT || !has_ray(asked, number))
             return;
         ray[0] = number;
         taken = 1;
@@ -50,12 +53,15 @@ struct InPlace1 {
                    && (x.value < -x.off || y.value < -y.off || z.value < -z.off);
         }
     };
+    // Whether the sample is a corner: such a triangle never hides it. Samples of a depth image are corners of its
+    // surface.
+    static inline bool touches(const wp::vec3d& p, const wp::vec3d& a, const wp::vec3d& b, const wp::vec3d& c) {
+        return same(p, a) || same(p, b) || same(p, c);
+    }
     // Whether it is certain that a triangle does not hide the ray, if that does not pass beside it. It is for most of
     // those around a sample, which would go to exact arithmetic, as the sample lies in their planes.
     inline bool misses(const wp::vec3d& p, const wp::vec3d& way, const wp::vec3d& a, const wp::vec3d& b,
                        const wp::vec3d& c) const {
-        if (same(p, a) || same(p, b) || same(p, c))
-            return true;
         // The own plane, from the sample and from the light, and by how much either may be off.
         const bool bounded = asked.light[3] != 0.0;
         const wp::vec3d to_a = Sides::between(p, a);
@@ -81,7 +87,8 @@ struct InPlace1 {
         ++tests;
         const wp::vec4d& at = sample();
         const wp::vec3d p(at[0], at[1], at[2]), to = way();
-        if (Side::beside(Side::of(p, to, a, b), Side::of(p, to, b, c), Side::of(p, to, c, a)) || misses(p, to, a, b, c))
+        if (touches(p, a, b, c) || Side::beside(Side::of(p, to, a, b), Side::of(p, to, b, c), Side::of(p, to, c, a))
+            || misses(p, to, a, b, c))
             return false;
         ++retested;
         double value;

@@ -99,7 +99,7 @@ class InPlace:
     cull: int
     triangle_count: int
     positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
-    rays: wp.array(dtype=wp.vec4)
+    rays: wp.array(dtype=wp.vec4)  # empty if all samples that are LIT have one
     states: wp.array(dtype=wp.uint8)
     passed: wp.array(dtype=wp.uint8)  # rays that a part of the structure is known not to hide: 1; or all of it: 2
     vertices: wp.array(dtype=wp.vec3d)

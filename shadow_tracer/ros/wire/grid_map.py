@@ -25,10 +25,9 @@ from shadow_tracer.scene.surface import HeightField, Organised, organised
 GRID_MAP = "grid_map_msgs/msg/GridMap"
 KEY = "grid_map"
 # Fields of the types as ROS 2 has them, for bags.
+GRID_MAP_INFO = "grid_map_msgs/msg/GridMapInfo"
 DEFINITIONS = {
-    "grid_map_msgs/msg/GridMapInfo": (
-        "float64 resolution\nfloat64 length_x\nfloat64 length_y\ngeometry_msgs/Pose pose\n"
-    ),
+    GRID_MAP_INFO: ("float64 resolution\nfloat64 length_x\nfloat64 length_y\ngeometry_msgs/Pose pose\n"),
     GRID_MAP: (
         "std_msgs/Header header\ngrid_map_msgs/GridMapInfo info\nstring[] layers\nstring[] basic_layers\n"
         "std_msgs/Float32MultiArray[] data\nuint16 outer_start_index\nuint16 inner_start_index\n"

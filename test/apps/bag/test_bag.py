@@ -680,7 +680,8 @@ def test_a_dose_that_could_not_be_kept_is_refused_before(tmp_path: Path, capsys:
     assert "dose.folder: expected a folder" in capsys.readouterr().err
 
 
-def test_ground_of_a_recording(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ros1", [False, True])
+def test_ground_of_a_recording(tmp_path: Path, ros1: bool) -> None:
     """Maps without an image before them, with one, and one that cannot be used: grids and hours by the log's time."""
     pytest.importorskip("ephem")
     rows, columns = 9, 7
@@ -693,7 +694,7 @@ def test_ground_of_a_recording(tmp_path: Path) -> None:
     made.add(INFO, info(W, H, stamp, FOCAL))
     made.add(DEPTH, image(depth_image(0), stamp))
     made.raw("/grid_map", GRID_MAP, encode_grid_map(ground, {"height": values}))
-    folder = made.write(tmp_path / "drive")
+    folder = made.write_ros1(tmp_path / "drive.bag") if ros1 else made.write(tmp_path / "drive")
     sun = parameters(
         fixed_frame="map", pose_source="parameter", lights__lamp__type="sun", lights__lamp__sun__latitude="48.0",
         lights__lamp__sun__longitude="11.5", sun_map__hours="2.0", sun_map__step="60.0",

@@ -28,6 +28,9 @@ from compressed_images import compressed
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from shadow_tracer.apps.bag.types import Types
+from shadow_tracer.ros.wire.grid_map import DEFINITIONS, GRID_MAP, GRID_MAP_INFO
+
 
 def lone(folder: Path, name: str) -> Path:
     """The one file of a bag under another name, alone in a folder."""
@@ -266,3 +269,16 @@ def test_large_compressed_depth_is_refused_before_it_is_unpacked(
 
     run(journey(large).write(tmp_path / "in"), tmp_path / "out.mcap", expect=3)
     assert "data: expected at most bounds.max_rays = 4096 pixels, got 99 x 99" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", ["", "another header", "no pose", "float64 data"])
+def test_grid_maps_of_ros1_are_those_of_the_definition_or_refused(change: str) -> None:
+    info, grid_map = "std_msgs/Header header\n" + DEFINITIONS[GRID_MAP_INFO], DEFINITIONS[GRID_MAP]
+    grid_map = grid_map.removeprefix("" if change == "another header" else "std_msgs/Header header\n")
+    if change == "no pose":
+        info = info.replace("geometry_msgs/Pose pose\n", "")
+    if change == "float64 data":
+        grid_map = grid_map.replace("Float32", "Float64")
+    types = get_typestore(Stores.ROS1_NOETIC)
+    types.register(get_types_from_msg(info, GRID_MAP_INFO) | get_types_from_msg(grid_map, GRID_MAP))
+    assert (Types(types, is2=False).converter(GRID_MAP) is None) == bool(change)

@@ -172,7 +172,7 @@ def test_the_host_makes_no_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(parts, "depth_cells", never)
     rng = np.random.default_rng(3)
-    for pipeline in ("light_grid", "cone_hierarchy", "brute_force"):
+    for pipeline in ("light_grid", "cone_hierarchy", "height_field", "brute_force"):
         tracer = ShadowTracer(pipeline, device="cpu", bounds=BOUNDS)
         for _ in range(2):
             depth, camera = depth_of(rng, (24, 32), np.float32), camera_of((24, 32), rng)

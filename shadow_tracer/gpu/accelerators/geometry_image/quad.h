@@ -14,6 +14,10 @@ struct Quad {
             typedef InPlace1::Side Side;
             const wp::vec4d& at = query.sample();
             const wp::vec3d p(at[0], at[1], at[2]), way = query.way();
+            if (InPlace1::same(p, a) || InPlace1::same(p, d)) { // corners of both
+                query.tests += 2;
+                return false;
+            }
             const Side across = Side::of(p, way, d, a);
             if (Side::beside(Side::of(p, way, a, c), Side::of(p, way, c, d), across))
                 possible -= 1;

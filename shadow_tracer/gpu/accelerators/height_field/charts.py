@@ -12,6 +12,10 @@ Nodes. Level 0 has a node for each four by four quads, level l for each four by 
 node. A node is sixteen pairs of 16 bits: the least and the largest height of the valid positions of each child, rounded
 outwards, by more than what heights are off (``ROUNDED``); (65535, 0) where there is none. The children of a node lie
 in one line of the cache.
+
+Of the surface of a depth image, which is made on the device, only what its triangles have counts: a quad over a step in
+depth has none. Its corners without depth are where the camera is, and have no height; should a triangle have a corner
+there, of a depth that is nothing beside the camera's distance from the origin, all rays are shown all quads.
 """
 
 from __future__ import annotations
@@ -24,8 +28,9 @@ import warp as wp
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.transfers import HostValues
 from shadow_tracer.gpu.occluders.world import SceneBuffers
-from shadow_tracer.scene.chart import STEPS, Chart, find_chart
+from shadow_tracer.scene.chart import STEPS, Chart, depth_chart, find_chart
 from shadow_tracer.scene.mesh import Mesh
+from shadow_tracer.scene.parts import DepthSurface
 
 # Surfaces with a chart; others go with the meshes, as do those of fewer quads, and those of more rows or columns than
 # float32 can count in well.
@@ -60,6 +65,8 @@ class DeviceChart:
     first_triangle: int
     first_height: int
     parallel: int
+    made: int  # whether it is the surface of a depth image
+    camera: wp.vec3d  # of which this is the place
 
 
 @wp.struct
@@ -139,6 +146,24 @@ def node_of_quads(
     ...
 
 
+@native.func_native("accelerators/height_field/nodes.h", calls="Nodes::of_triangles")
+def node_of_triangles(
+    first: int,
+    vertex: int,
+    triangle: int,
+    rows: int,
+    columns: int,
+    row: int,
+    column: int,
+    node: int,
+    heights: wp.array(dtype=float),
+    triangles: wp.array(dtype=wp.vec3i),
+    nodes: wp.array(dtype=wp.uint32),
+) -> int:
+    """As ``node_of_quads``, over the triangles of these quads; returns whether one has a corner without a height."""
+    ...
+
+
 @native.func_native("accelerators/height_field/nodes.h", calls="Nodes::of_nodes")
 def node_of_nodes(
     first: int, rows: int, columns: int, row: int, column: int, node: int, nodes: wp.array(dtype=wp.uint32)
@@ -148,7 +173,7 @@ def node_of_nodes(
 
 
 @wp.kernel(enable_backward=False)
-def make_nodes(number: int, level: int, structure: Structure):
+def make_nodes(number: int, level: int, structure: Structure, triangles: wp.array(dtype=wp.vec3i)):
     """The nodes of a level, one each thread."""
     i = wp.tid()
     here = structure.levels[number * LEVELS + level]
@@ -157,9 +182,17 @@ def make_nodes(number: int, level: int, structure: Structure):
     node = here.first + i
     if level == 0:
         chart = structure.charts[number]
-        node_of_quads(
-            chart.first_height, chart.rows, chart.columns, row, column, node, structure.heights, structure.nodes
-        )
+        if chart.made != 0:
+            lost = node_of_triangles(
+                chart.first_height, chart.first_vertex, chart.first_triangle, chart.rows, chart.columns, row, column,
+                node, structure.heights, triangles, structure.nodes,
+            )  # fmt: skip
+            if lost != 0:
+                wp.atomic_max(structure.beside, number, wp.float64(1.0e30))
+        else:
+            node_of_quads(
+                chart.first_height, chart.rows, chart.columns, row, column, node, structure.heights, structure.nodes
+            )
     else:
         below = structure.levels[number * LEVELS + level - 1]
         node_of_nodes(below.first, below.rows, below.columns, row, column, node, structure.nodes)
@@ -186,8 +219,14 @@ class Placed:
     @property
     def grid(self) -> tuple[int, int]:
         """Rows and columns of positions."""
-        assert self.mesh.grid is not None
-        return self.mesh.grid
+        grid = _grid_of(self.mesh)
+        assert grid is not None
+        return grid
+
+
+def _grid_of(mesh: Mesh) -> tuple[int, int] | None:
+    """Rows and columns of positions; None of meshes."""
+    return mesh.corners if isinstance(mesh, DepthSurface) else mesh.grid
 
 
 def _shapes(grid: tuple[int, int]) -> tuple[tuple[int, int], ...]:
@@ -243,11 +282,12 @@ class Charts:
         self._followed, self.placed = -1, ()
 
     def _chart_of(self, mesh: Mesh) -> Chart | None:
-        if mesh.grid is None or mesh.triangle_count < 2 * _FEWEST_QUADS or max(mesh.grid) > _LONGEST:
+        grid = _grid_of(mesh)
+        if grid is None or mesh.triangle_count < 2 * _FEWEST_QUADS or max(grid) > _LONGEST:
             return None
         known = self._found.get(mesh.name)
         if known is None or known[:2] != (mesh.topology_revision, mesh.vertices_revision):
-            chart = find_chart(mesh.vertices, mesh.grid)
+            chart = depth_chart(mesh) if isinstance(mesh, DepthSurface) else find_chart(mesh.vertices, grid)
             known = self._found[mesh.name] = mesh.topology_revision, mesh.vertices_revision, chart
         return known[2]
 
@@ -258,7 +298,8 @@ class Charts:
         height = node = 0
         for mesh, first_vertex, first_triangle in self._scene.placed():
             chart = self._chart_of(mesh) if len(placed) < MOST_CHARTS else None
-            shapes = _shapes(mesh.grid) if chart is not None and mesh.grid is not None else ()
+            grid = _grid_of(mesh)
+            shapes = _shapes(grid) if chart is not None and grid is not None else ()
             nodes = sum(rows * columns for rows, columns in shapes)
             full = node + nodes > self._most_nodes or height + mesh.vertex_count > len(self.structure.heights)
             if chart is None or full:
@@ -280,7 +321,8 @@ class Charts:
         inputs = [number, structure, self._scene.vertices]
         wp.launch(place_positions, dim=placed.grid[0], inputs=inputs, device=device)
         for level, (rows, columns) in enumerate(placed.shapes):
-            wp.launch(make_nodes, dim=rows * columns, inputs=[number, level, structure], device=device)
+            inputs = [number, level, structure, self._scene.triangles]
+            wp.launch(make_nodes, dim=rows * columns, inputs=inputs, device=device)
 
     def nbytes(self) -> int:
         """Bytes on the device."""
@@ -323,4 +365,5 @@ def _on_device(placed: Placed) -> DeviceChart:
     made.rows, made.columns = rows, columns
     made.first_vertex, made.first_triangle = placed.first_vertex, placed.first_triangle
     made.first_height, made.parallel = placed.first_height, int(chart.parallel)
+    made.made, made.camera = int(isinstance(placed.mesh, DepthSurface)), wp.vec3d(*position)
     return made

@@ -35,8 +35,8 @@ A span below 1e-20 is taken for 1e-20, which moves a point of the ray by that. B
 it more. An empty box has a least height above its largest one.
 
 Memory: a quad costs 4.3 bytes in nodes and a position 4 bytes of height, beside 24 bytes of coordinates and, for each
-of two triangles, 12 bytes of numbers: 56 bytes a cell, and as many on the host. For a sun that is swept there are 12
-bytes a cell more. No records are made.
+of two triangles, 12 bytes of numbers: 56 bytes a cell, and as many on the host. For a sun that is swept there are
+12.25 bytes a cell more. No records are made.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class HeightFields(Surfaces):
         # One band does it for all, and a sweep is worth what they all ask.
         count = context.samples.count * context.samples.bands
         with context.stages.stage("setup"):
-            sweeps.make(charts, lights[0], count, context.records.front_face_culling)
+            sweeps.make(charts, lights[0], count, context.records.front_face_culling, context.workers)
             charts.structure.sweep, charts.structure.bounds = sweeps.sweep, sweeps.bounds
 
     def first_look(self, asked: InPlace) -> None:

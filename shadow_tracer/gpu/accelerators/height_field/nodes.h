@@ -1,4 +1,4 @@
-// constants: CHART_STEPS CHART_ROUNDED
+// constants: CHART_STEPS CHART_ROUNDED GAP_VERTEX
 // Nodes over four by four boxes: the least and the largest height of each; see charts.py.
 struct Nodes {
     enum { SIDE = 4, NONE = 0xFFFF }; // nothing lies between 65535 and 0
@@ -27,6 +27,31 @@ struct Nodes {
                 }
             nodes.data[16 * (size_t)node + k] = pack(low, high);
         }
+    }
+    // As `of_quads`, over the triangles of the quads; `first`, `vertex` and `triangle` are those of the chart. Returns
+    // whether a triangle has a corner that has no height.
+    static inline int of_triangles(int first, int vertex, int triangle, int rows, int columns, int row, int column,
+                                   int node, const wp::array_t<float>& heights, const wp::array_t<wp::vec3i>& triangles,
+                                   const wp::array_t<wp::uint32>& nodes) {
+        const float* from = heights.data + first;
+        int lost = 0;
+        for (int k = 0; k < SIDE * SIDE; ++k) {
+            const int r = SIDE * row + k / SIDE, c = SIDE * column + k % SIDE;
+            float low = (float)HUGE_VAL, high = -low;
+            if (r + 1 < rows && c + 1 < columns)
+                for (int j = 0; j < 6; ++j) {
+                    const size_t number = triangle + 2 * ((size_t)r * (columns - 1) + c) + j / 3;
+                    const int corner = triangles.data[number][j % 3];
+                    if (corner == GAP_VERTEX)
+                        continue;
+                    const float h = from[corner - vertex];
+                    lost |= !(h == h);
+                    low = h < low ? h : low;
+                    high = h > high ? h : high;
+                }
+            nodes.data[16 * (size_t)node + k] = pack(low, high);
+        }
+        return lost;
     }
     // first, rows, columns: of the nodes of the level below.
     static inline void of_nodes(int first, int rows, int columns, int row, int column, int node,

@@ -21,8 +21,10 @@ struct Placed {
         const Homogeneous at =
             Homogeneous::of(chart, p[0] - chart.center[0], p[1] - chart.center[1], p[2] - chart.center[2], 1.0);
         const double h = at.h / at.d;
-        heights.data[chart.first_height + number] = (float)h;
-        if (!wp::isfinite(p))
+        // A corner without depth is where the camera is.
+        const bool none = chart.made && p[0] == chart.camera[0] && p[1] == chart.camera[1] && p[2] == chart.camera[2];
+        heights.data[chart.first_height + number] = none ? (float)(HUGE_VAL - HUGE_VAL) : (float)h;
+        if (none || !wp::isfinite(p))
             return 0.0;
         const int row = number / chart.columns, column = number - row * chart.columns;
         const double s = fabs(at.s / at.d - (double)column), t = fabs(at.t / at.d - (double)row);

@@ -1,13 +1,13 @@
 // needs: device/lanes.h accelerators/height_field/place.h
 // arguments: Sweep sweep, DeviceChart chart
-// constants: SWEEP_PAD SWEEP_BESIDE SWEEP_WEIGHT
+// constants: SWEEP_STRETCH SWEEP_PAD SWEEP_BESIDE SWEEP_WEIGHT
 // lanes
 // LANES rays over the heights of a swept chart, from line to line, row to row and diagonal to diagonal, until a bound
 // says what becomes of them; see sweep.py.
 struct WIDE(Profile) {
 #if LANES == 1
     typedef double Number;
-    typedef wp::int64 Truth;
+    typedef int Truth;
 #else
     typedef double Number __attribute__((ext_vector_type(LANES), aligned(8)));
     typedef long Truth __attribute__((ext_vector_type(LANES), aligned(8)));
@@ -22,7 +22,7 @@ struct WIDE(Profile) {
     Truth clear;       // it has met nothing so far
     Truth active;      // those of which it is not known
     Truth lit, hidden; // what has been found out
-    int strips;        // that they have crossed, all together
+    wp::int64 strips;  // that they have crossed, all together
 
     inline WIDE(Profile)(const Sweep& sweep, const float* heights, const float* bounds)
         : sweep(sweep), heights(heights), bounds(bounds), strips(0) {}
@@ -59,6 +59,13 @@ struct WIDE(Profile) {
         return x;
 #else
         return x[j];
+#endif
+    }
+    static inline Number load(const double* from) {
+#if LANES == 1
+        return *from;
+#else
+        return *(const Number*)from;
 #endif
     }
     static inline Number smaller(Number x, Number y) { return x < y ? x : y; }
@@ -130,9 +137,11 @@ struct WIDE(Profile) {
         clear = clear & ((some == 0) | (now > 0.0));
         side = (some & (place >= from)) ? now : side;
     }
-    // What the bounds on the line say that rays have come to.
-    inline void bounded(Truth some) {
-        const Number at = line + 1.0, place = down(v - sweep.drift * x) - down(-(sweep.drift * at));
+    // The place of a band on a line, where its bounds are.
+    inline Number bound(Number at) const { return down(v - sweep.drift * x) - down(-(sweep.drift * at)); }
+    // What the bounds on a line say that rays have come to.
+    inline void bounded(Truth some, Number at) {
+        const Number place = bound(at);
         const Truth there = some & (place >= 0.0) & (place < (double)sweep.across); // else it is beside the surface
         const Number index = at * (double)sweep.pitch + place, level = y - sweep.rise * at;
         const double pad = sweep.pad;
@@ -159,8 +168,36 @@ struct WIDE(Profile) {
         begin = some ? v : begin;
         next = some ? v + sweep.drift * (line + 1.0 - x) : next;
     }
+    // Rays that are on the first line of a stretch, and above all that their bands hold of it, go on to its end;
+    // returns which.
+    inline Truth jump() {
+        const double lines = SWEEP_STRETCH;
+        const Number stretch = line * (1.0 / lines);
+        Truth some = active & clear & (side > 0.0) & (x == line) & (stretch == down(stretch))
+                     & (line + lines <= (double)(sweep.lines - 1));
+        if (!bits(some))
+            return some;
+        const Number place = bound(line);
+        some = some & (place >= 0.0) & (place < (double)sweep.across);
+        const float* stretches = bounds + 3 * (size_t)sweep.lines * sweep.pitch;
+        const Number most = gather(stretches, some, stretch * (double)sweep.pitch + place);
+        some = some & (y - sweep.rise * line > most + (double)sweep.pad);
+        if (!bits(some))
+            return some;
+        strips += count(some);
+        x = some ? line + lines : x;
+        y = some ? y + sweep.rise * lines : y;
+        v = some ? v + sweep.drift * lines : v;
+        line = some ? x : line;
+        bounded(some, line);
+        enter(some & active);
+        return some;
+    }
     // To where the ray leaves the quad that it is in.
     inline void step() {
+        const Truth jumped = jump(), active = this->active & (jumped == 0);
+        if (!bits(active))
+            return;
         const Number x1 = line + 1.0;
         Number place = down(v);
         if (sweep.drift < 0.0)
@@ -170,40 +207,78 @@ struct WIDE(Profile) {
         const Truth out = active & ((place < 0.0) | (place >= (double)(sweep.across - 1)));
         // It leaves the surface, unless it goes along the border.
         lit = lit | (fabs(sweep.drift) >= 0.5 ? out & clear : out & 0);
-        active = active & (out == 0);
+        this->active = this->active & (out == 0);
+        const Truth some = active & (out == 0);
         const Truth over = next > place + 1.0, under = next < place, cut = over | under;
         const Number v2 = over ? place + 1.0 : (under ? place : next);
         Number x2 = x1;
-        if (bits(cut & active))
+        if (bits(cut & some))
             x2 = cut ? smaller(x + (v2 - v) / sweep.drift, x1) : x1;
         const Number X1 = x - line, V1 = v - place, X2 = x2 - line, V2 = v2 - place;
         const Number one = sweep.mirrored ? V1 - (1.0 - X1) : V1 - X1, two = sweep.mirrored ? V2 - (1.0 - X2) : V2 - X2;
-        const Quad q = quad(active, line, place);
-        const Truth diagonal = active & (one * two < 0.0);
+        const Quad q = quad(some, line, place);
+        const Truth diagonal = some & (one * two < 0.0);
         if (bits(diagonal)) {
             const Number share = one / (one - two), X = X1 + share * (X2 - X1);
             const Number z = sweep.mirrored ? (1.0 - X) * q.c + X * q.b : (1.0 - X) * q.a + X * q.d;
             note(diagonal, y + sweep.rise * (X - X1) - z, line + X);
         }
-        y = y + sweep.rise * (x2 - x);
-        x = x2;
-        v = v2;
+        y = some ? y + sweep.rise * (x2 - x) : y;
+        x = some ? x2 : x;
+        v = some ? v2 : v;
         const Number z = cut ? (1.0 - X2) * (over ? q.c : q.a) + X2 * (over ? q.d : q.b) : (1.0 - V2) * q.b + V2 * q.d;
-        note(active, y - z, x);
-        const Truth arrived = active & (cut == 0);
+        note(some, y - z, x);
+        const Truth arrived = some & this->active & (cut == 0);
         if (bits(arrived)) {
             strips += count(arrived);
-            bounded(arrived);
             line = arrived ? line + 1.0 : line;
-            enter(arrived & active);
+            bounded(arrived, line);
+            enter(arrived & this->active);
         }
     }
     static inline Number row(const wp::vec4d& m, Number x, Number y, Number z) {
         return m[0] * x + m[1] * y + m[2] * z + m[3];
     }
-    // What becomes of the rays from samples to the sun; those of `asked` alone.
-    inline void look(const DeviceChart& chart, Truth asked, const Number sample[4], const wp::vec3d* vertices,
-                     int pieces) {
+#if LANES > 1
+    // Rays that have not been decided yet, to go on with.
+    struct Open {
+        enum { ROOM = 512 };
+        double numbers[8][ROOM + LANES], flags[2][ROOM + LANES];
+        int rays[ROOM + LANES], count;
+    };
+    // Adds those that are left to some.
+    inline void leave(Open& open, const int* rays) const {
+        const Number numbers[8] = { x, y, v, from, line, begin, next, side };
+        const Number one = 1.0, none = 0.0, flags[2] = { biased ? one : none, clear ? one : none };
+        for (int left = bits(active), j; left; left &= left - 1) {
+            j = __builtin_ctz(left);
+            for (int k = 0; k < 8; ++k)
+                open.numbers[k][open.count] = lane(numbers[k], j);
+            for (int k = 0; k < 2; ++k)
+                open.flags[k][open.count] = lane(flags[k], j);
+            open.rays[open.count++] = rays[j];
+        }
+    }
+    // Takes up to LANES of them, from one on.
+    inline void resume(const Open& open, int first, int count) {
+        Number* numbers[8] = { &x, &y, &v, &from, &line, &begin, &next, &side };
+        for (int k = 0; k < 8; ++k)
+            *numbers[k] = load(open.numbers[k] + first);
+        biased = load(open.flags[0] + first) == 1.0;
+        clear = load(open.flags[1] + first) == 1.0;
+        active = (Truth)(x == x);
+        for (int j = count; j < LANES; ++j)
+            active[j] = 0;
+        lit = hidden = active & 0;
+    }
+#endif
+    // Goes on, for so many pieces of the way.
+    inline void go(int pieces) {
+        for (int k = 0; bits(active) && k < pieces; ++k)
+            step();
+    }
+    // Begins with rays from samples to the sun; those of `asked` alone.
+    inline void look(const DeviceChart& chart, Truth asked, const Number sample[4], const wp::vec3d* vertices) {
         const Number dx = sample[0] - chart.center[0], dy = sample[1] - chart.center[1],
                      dz = sample[2] - chart.center[2];
         const Number weight = chart.weight * (size(dx) + size(dy) + size(dz)) + chart.weight_constant;
@@ -228,9 +303,9 @@ struct WIDE(Profile) {
         const Number over = y - surface(quad(active, first, beside), x - first, v - beside);
         // Triangles at a corner never hide the corner.
         note(active & (corner(chart, sample, place, column, over, vertices) == 0), over, x);
+        // The surface of the own line is not what a bound that hides them tells of.
+        bounded(active & (x == line) & (side != 0.0), line);
         enter(active);
-        for (int k = 0; bits(active) && k < pieces; ++k)
-            step();
     }
     // Those that are positions of the surface.
     inline Truth corner(const DeviceChart& chart, const Number sample[4], Number row, Number column, Number over,

@@ -71,7 +71,7 @@ class Silent:
                 inputs = [number, light.light, charts.structure, scene.vertices, scene.triangles, sums.counts]
                 wp.launch(count_in_sun, dim=placed.grid[0] - 1, inputs=inputs, device=scene.device)
             else:
-                sums.add(placed.first_triangle, len(placed.mesh.triangles), light, cull)
+                sums.add(placed.first_triangle, placed.mesh.triangle_count, light, cull)
         return sums.total()
 
     def nbytes(self) -> int:

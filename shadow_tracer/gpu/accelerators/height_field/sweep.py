@@ -9,11 +9,16 @@ these, numbered along its way: from line to line it drifts by ``drift`` places, 
 *band* b holds the rays with v - drift x from b to b + 1. From the last line to the first, for the rays of each band
 that cross a line within the surface, three bounds are kept:
 
-- *hides*: no point of the surface on this line or beyond it has a level above it. It is the largest level of all
-  corners of quads that the band touches: each point of a quad lies between three of its corners, and level is linear.
+- *hides*: no point of the surface on this line or beyond it has a level above it. It is the largest level where an edge
+  of the band comes to a line, a row between two quads, or a diagonal, and of the corners between the edges: these are
+  the corners of what the band has of each triangle, and level is linear there. Where a position of the quads that the
+  band touches is not valid, it is the largest level of those that are: each point of a triangle lies between three.
 - *above*: each of these rays has a point, on this line or beyond, where the surface's level is at least this, and all
   quads from here to there are whole. It is the largest of the least levels on a line, as long as strips are whole.
 - *below*: each has a point where the surface's level is at most this, in the same way.
+
+On every sixteenth line there is a fourth one: *stretch*, like *hides*, but of the surface up to the sixteenth line from
+there alone.
 
 A ray (``profile.h``) goes from strip to strip between lines, and compares its height with the surface's wherever it
 comes to a line, a row between two quads, or a diagonal: between these the surface is flat, so that what holds at both
@@ -21,13 +26,16 @@ ends holds between them. It is *clear* as long as it has been above the surface 
 is said:
 
 1. *Lit*, if it is clear up to a line and its level is above *hides* there; or clear until it leaves the surface. None
-   of it meets the surface: not before the line, as it is clear, and not after.
+   of it meets the surface: not before the line, as it is clear, and not after. If its level is above *stretch*, it is
+   clear up to the sixteenth line, and above the surface there: it goes on from that.
 2. *Hidden*, if it is certainly above the surface at one of those places, and certainly below it at a later one, or the
    other way round, with whole quads between: within a strip, or by *above* or *below*. Then it meets the surface in
    between: take the last point where it is not yet on the other side, and the triangle that it is over right after it.
    Over that triangle the difference of heights is linear along the ray, zero at the point and not zero after it: so the
    sun is not in the triangle's plane, the sample is strictly on the other side of it, at the same distance along a
    linear function, and the point is in the closed triangle. That is what the exact decision asks (``decision.py``).
+   A ray that begins on a line, certainly above the surface, is asked about *above* there already: the point that this
+   tells of is not on the line itself, where the surface is below the ray. So is one that begins below it about *below*.
 3. Everything else goes to the exact walk: so does a ray that begins beside the surface, that comes closer to it than
    ``_PAD``, meets a position that is not valid, or has not been decided after ``_PIECES`` pieces of its way.
 
@@ -59,25 +67,28 @@ by less than 2^-7, surface and rise taken together, than where it was compared.
 Nor does a band leave the surface as soon as it is beside it: up to a place beyond the border it counts what lies there,
 so that a ray along the border, whose drift is nothing but rounding, does not lose what is in its way.
 
-Levels in the bounds are float32: heights and rises of up to 2^16 + abs(rise) * lines, rounded twice, by less than 2^-23
-of that; ``pad`` is 2^-22 of it. The other half holds what heights are off, 2^-8, and abs(rise) * 2^-26.4 of what is
-beside.
+Levels in the bounds are float32, of heights and rises of up to M = 2^16 + abs(rise) * lines. One between two corners is
+off by 3 * 2^-24 * 2^16, of its weights, products and sum, and by two roundings of up to 2^-24 M more; ``pad`` is 2^-21
+M, so that 3 * 2^-24 M are left. These hold what heights are off, 2^-8, what the surface and the edges of bands are off
+sideways, twice 2^-9.4 as above, and abs(rise) * 2^-26.4 of what is beside.
 
 A ray takes part in this only as one of those that ask, and what is found is noted for each (``first_look.h``): hidden,
 or that nothing of the chart hides it. Sixteen rays go together, in two registers of float64, with masks instead of
 branches; each lane does what a ray alone would do, so nothing above changes. Those that are not decided after two
-pieces of their way are collected, a block's together, and begin once more, for eight, for 32 and for ``_PIECES``: else
+pieces of their way are collected, up to 512, and go on together up to eight, up to 32 and up to ``_PIECES``: else
 fifteen would wait for the one that goes far. Whether a sample is a position of the surface is looked up only where it
 is no further from its height than ``_PAD``: a position is within half of that.
 
-The sweep reads each height a few times and writes three numbers a cell; a ray then reads a few heights and one or two
-of the numbers. It is done for the largest terrain of a scene, for suns, where there are at least an eighth as many
-samples as quads, and not where front faces are culled, as surfaces are open then, or where the light ignores a mesh.
+The sweep reads each height a few times and writes three numbers a cell, and the sixteenth part of one; a ray then reads
+a few heights and one or two of the numbers. It is done for the largest terrain of a scene, for suns, where there are at
+least an eighth as many samples as quads, and not where front faces are culled, as surfaces are open then, or where the
+light ignores a mesh.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -85,6 +96,7 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Structure, Sweep
 from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import InPlace
@@ -92,14 +104,15 @@ from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.chart import STEPS
 
 _LANES = wp.constant(16)
-_BLOCK = wp.constant(1024)  # rays of a task in the wide form
+_BLOCK = wp.constant(8192)  # rays of a task in the wide form
 _PAD = 2.0**-6  # steps
 _WEIGHT = 2.0**22
 _STEEPEST = 2.0**16  # steps a line
-_PIECES = 80  # of a ray: the way to the next line, or row between two quads
+_PIECES = 128  # of a ray: the way to the next line, or row between two quads; or a stretch
+_STRETCH = 16  # lines
 _SHARE = 8  # quads to a sample
 native.constants(SWEEP_WEIGHT=_WEIGHT, SWEEP_PAD=_PAD, SWEEP_PIECES=_PIECES, SWEEP_BESIDE=BESIDE)
-native.constants(FIRST_LOOK_BLOCK=int(_BLOCK))
+native.constants(SWEEP_STRETCH=_STRETCH)
 
 
 @native.func_native("accelerators/height_field/sweep.h", calls="Sweeper1::bands")
@@ -161,7 +174,8 @@ class Sweeps:
     def __init__(self, bounds: Bounds, scene: SceneBuffers) -> None:
         self._scene = scene
         quads = bounds.max_triangles // 2
-        self.bounds = wp.empty(3 * (quads + quads // 4 + 4096), dtype=float, device=scene.device)
+        room = quads + quads // 4 + 4096
+        self.bounds = wp.empty(3 * room + room // 8, dtype=float, device=scene.device)
         self.sweep = Sweep()
         self.sweep.number = -1
         self._made_for: tuple[object, ...] | None = None
@@ -170,7 +184,7 @@ class Sweeps:
         """The bounds are to be made once more, whatever is there."""
         self._made_for = None
 
-    def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool) -> None:
+    def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool, workers: Workers) -> None:
         """Sweep the largest chart of terrain, if that is worth it for so many samples and has not been done."""
         towards = np.array(light.light)
         placed = [each for each in charts.placed if each.chart.parallel]
@@ -178,28 +192,36 @@ class Sweeps:
         self.sweep.number = -1
         if cull or towards[3] != 0.0 or not placed or self._scene.left_out:
             return
-        largest = max(placed, key=lambda each: len(each.mesh.triangles))
-        if samples * _SHARE < len(largest.mesh.triangles) // 2:
+        largest = max(placed, key=lambda each: each.mesh.triangle_count)
+        if samples * _SHARE < largest.mesh.triangle_count // 2:
             return
         number = charts.placed.index(largest)
         sweep = _sweep(number, charts.on_device[number], towards[:3])
-        if sweep is None or 3 * sweep.lines * sweep.pitch > len(self.bounds):
+        if sweep is None or (3 * sweep.lines + sweep.lines // _STRETCH + 1) * sweep.pitch > len(self.bounds):
             return
         made_for = (*largest.key, *towards)
         if self._made_for != made_for:
             self._made_for = None
-            self._launch(sweep, charts)
+            self._launch(sweep, charts, workers)
             self._made_for = made_for
         self.sweep = sweep
 
-    def _launch(self, sweep: Sweep, charts: Charts) -> None:
+    def _launch(self, sweep: Sweep, charts: Charts, workers: Workers) -> None:
         drift, device = sweep.drift * (sweep.lines - 1), self._scene.device
         first, last = math.floor(min(-drift, 0.0)) - 1, math.floor(max(-drift, 0.0)) + sweep.across + 1
-        inputs, count = [sweep, first, charts.structure.heights, self.bounds], last - first + 1
-        if forms.wide(device):
-            wp.launch(sweep_band_blocks, dim=-(-count // int(_LANES)), inputs=inputs, device=device)
-        else:
-            wp.launch(sweep_bands, dim=count, inputs=inputs, device=device)
+        heights, count = charts.structure.heights, last - first + 1
+        if not forms.wide(device):
+            wp.launch(sweep_bands, dim=count, inputs=[sweep, first, heights, self.bounds], device=device)
+            return
+        wp.load_module(sweep_band_blocks.module, device, max_workers=0)  # not by several threads at once
+
+        def some(begin: int, end: int) -> None:
+            inputs = [sweep, first + int(_LANES) * begin, heights, self.bounds]
+            wp.launch(sweep_band_blocks, dim=end - begin, inputs=inputs, device=device)
+
+        blocks = -(-count // int(_LANES))
+        parts = min(workers.count, blocks)
+        workers.run([partial(some, blocks * k // parts, blocks * (k + 1) // parts) for k in range(parts)])
 
     def nbytes(self) -> int:
         """Bytes on the device."""
@@ -226,5 +248,5 @@ def _sweep(number: int, chart: DeviceChart, towards: np.ndarray) -> Sweep | None
         sweep.next_line = -sweep.next_line
     sweep.drift, sweep.rise = over / abs(along), way[2] / abs(along)
     sweep.per_metre = abs(along) / float(np.linalg.norm(towards))
-    sweep.pad = (STEPS + abs(sweep.rise) * sweep.lines) * 2.0**-22
+    sweep.pad = (STEPS + abs(sweep.rise) * sweep.lines) * 2.0**-21
     return sweep

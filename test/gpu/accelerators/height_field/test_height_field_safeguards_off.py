@@ -13,6 +13,7 @@ _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sw
 _LOOK = _ROOM + "first_look.h"
 _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
+_DEPTH = "test_depth_charts.py"
 
 
 _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
@@ -64,6 +65,22 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "beside_terrain",
         [("accelerators/surfaces.py", "self._rest.follow(others)", "self._rest.follow([])")],
     ),
+    "meshes aside are shown no rays of suns": (
+        _FIELD,
+        "beside_terrain",
+        [
+            (
+                "accelerators/surfaces.py",
+                "light.light[3] != 0.0 or self._rest.triangle_count > 0",
+                "light.light[3] != 0.0",
+            )
+        ],
+    ),
+    "lamps shine on all samples": (
+        _FIELD,
+        "beside_terrain or terrain",
+        [("accelerators/surfaces.py", "return light.light[3] != 0.0 or self", "return self")],
+    ),
     "pairs of meshes named as those of the scene": (
         _FIELD,
         "beside_terrain and cuda_form",
@@ -75,10 +92,47 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
             )
         ],
     ),
-    "lit above the highest corner but for the next line": (
+    "heights of the first triangle of a quad": (_DEPTH, "steps or other", [(_NODES, "j < 6", "j < 3")]),
+    "no triangle has a corner at the camera": (_DEPTH, "lies_at_the_camera", [(_NODES, "lost |= !(h == h);", "")]),
+    "the chart of the whole image at every step": (
+        _DEPTH,
+        "steps",
+        [("../scene/chart.py", "[0.0, camera.fy, camera.cy]]) / step", "[0.0, camera.fy, camera.cy]])")],
+    ),
+    "lit above what a band has of lines alone": (
         _SWEPT,
-        "suns or every_way",
-        [(_SWEEP, "hides = larger(z - risen, larger(beyond - risen_next, hides));", "")],
+        "between_two_lines",
+        [(_SWEEP, "strip ? larger(edges, most) : corners", "strip ? most : corners")],
+    ),
+    "lit above what is whole": (
+        _SWEPT,
+        "suns or hole",
+        [(_SWEEP, "strip ? larger(edges, most) : corners", "larger(edges, most)")],
+    ),
+    "diagonals of bands as if nothing were mirrored": (
+        _SWEPT,
+        "between_two_lines or suns",
+        [(_SWEEP, "if (sweep.mirrored)", "if (false)")],
+    ),
+    "a stretch without its last line": (
+        _SWEPT,
+        "stretches",
+        [(_SWEEP, "stretch = whole ? most : corners;", "stretch = -infinity;")],
+    ),
+    "a stretch is a line": (
+        _SWEPT,
+        "stretches",
+        [(_SWEEP, "stretch = larger(here_and_on, stretch);", "stretch = here_and_on;")],
+    ),
+    "stretches begin on any line": (
+        _SWEPT,
+        "stretches",
+        [(_PROFILE, " & (stretch == down(stretch))", "")],
+    ),
+    "hidden by what is behind": (
+        _SWEPT,
+        "suns or stretches",
+        [(_PROFILE, "bounded(active & (x == line) & (side != 0.0), line);", "bounded(active, line);")],
     ),
     "a strip is whole where quads are missing": (
         _SWEPT,
@@ -162,7 +216,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "points that do not ask": (
         _SWEPT,
         "invalid",
-        [(_LOOK, "(asked.states.data[ray] == LIT) & (start == start)", "(start == start || true)")],
+        [(_LOOK, "(asked.states.data[ray] == LIT)", "true")],
     ),
     "a larger bias than there is": (
         _SWEPT,

@@ -125,6 +125,47 @@ def test_a_hole_lets_the_sun_through(any_device: str) -> None:
     assert _is_swept(tracer) and (seen == 0).any() and (seen == 1).any()
 
 
+def _facing(field: HeightField, towards: np.ndarray, away: float) -> np.ndarray:
+    """Samples a little above and below the rays to the sun that touch the surface at positions and between them, and so
+    far from these."""
+    positions = field.positions()
+    places = [positions, 0.5 * (positions[1:] + positions[:-1]), 0.5 * (positions[:, 1:] + positions[:, :-1])]
+    places += [0.5 * (positions[1:, 1:] + positions[:-1, :-1]), 0.5 * (positions[1:, :-1] + positions[:-1, 1:])]
+    tips = np.concatenate([each.reshape(-1, 3) for each in places])
+    return np.concatenate([tips - away * towards + (0.0, 0.0, up) for up in (0.01, -0.01)])
+
+
+@pytest.mark.parametrize("rising", [1, -1])
+def test_ridges_between_two_lines(any_device: str, rising: int) -> None:
+    """Walls along diagonals, whose tops bands cross between lines, higher than on them."""
+    down, across = np.mgrid[:20, :26]
+    field = HeightField(np.where((across + rising * down) % 9 == 4, 6.0, 0.0), 1.0)
+    for azimuth in np.arange(7.0, 360.0, 15.0):
+        light = sun(4.0, azimuth)
+        points = _facing(field, -np.asarray(light.direction), 5.3)
+        states, _, tracer = agree(any_device, lambda scene: _ground(scene, field), points, [light])
+        assert _is_swept(tracer) and 0.2 < (states == 1).mean() < 0.98
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_spikes_within_stretches_and_at_their_ends(any_device: str, axis: int) -> None:
+    """A plain with a few single positions that stick out, holes, and rays that go far over it."""
+    rng = np.random.default_rng(11)
+    shape = (90, 12) if axis == 0 else (12, 90)
+    z = rng.integers(0, 9, shape) / 1000.0
+    for k, line in enumerate((0, 15, 16, 17, 31, 33, 40, 48, 63, 64, 79, 80, 89)):
+        place = (line, k % 12) if axis == 0 else (k % 12, line)
+        z[place] = 1.0 + rng.integers(0, 200) / 100.0
+    z[60:62, 5:7] = np.nan if axis == 0 else z[60:62, 5:7]
+    field = HeightField(z, 1.0)
+    points = np.concatenate([field.positions()[field.valid] + (0.0, 0.0, up) for up in (0.05, 0.5, 1.5)])
+    first = 180.0 if axis == 0 else 90.0
+    suns = [sun(elevation, first + turn) for elevation in (0.0, 0.7, 1.9) for turn in (0.0, 2.1, 178.0, 181.5)]
+    states, counters, tracer = agree(any_device, lambda scene: _ground(scene, field), points, suns)
+    assert _is_swept(tracer) and 0.02 < (states == 1).mean() < 0.9
+    assert counters["nodes_visited"] < 8 * states.size  # ten if rays go from line to line
+
+
 @pytest.mark.parametrize("hole", [0, 8])
 def test_rays_beside_a_border_by_less_than_is_rounded(any_device: str, hole: int) -> None:
     """They go to a wall that ends a billionth of a cell beside them: they are taken to the border, and pass it."""
