@@ -6,24 +6,18 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from shadow_tracer.apps.bag.files import BagError
 from shadow_tracer.apps.bags.folder import LOCK, commit, committed, merged, report_of
-from shadow_tracer.apps.bags.jobs import Job, Report, play
+from shadow_tracer.apps.bags.jobs import Job, Report
 from shadow_tracer.apps.bags.plan import HIDDEN, Entry, Plan
+from shadow_tracer.apps.fleet.engines import Engine
 from shadow_tracer.apps.fleet.files import only_one
-from shadow_tracer.apps.fleet.local import run_local
 
 ALL, SOME, WRONG, UNFINISHED, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
-Engine = Callable[[Sequence[Job], Callable[[Job, Any], None]], None]
-
-
-def local(workers: int, retries: int) -> Engine:
-    """Processes of this machine."""
-    return lambda jobs, done: run_local(play, jobs, workers, retries, good, done)
 
 
 def good(report: Report) -> bool:

@@ -50,7 +50,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
         for job in jobs:
             done(job, work(job))
 
-    monkeypatch.setattr("shadow_tracer.apps.bags.run.run_local", run)
+    monkeypatch.setattr("shadow_tracer.apps.fleet.engines.run_local", run)
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
