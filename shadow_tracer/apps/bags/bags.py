@@ -174,13 +174,13 @@ def everything(chosen: argparse.Namespace, bags: Sequence[Path], one: bool = Fal
     engine = _engine(chosen, plan)
     if chosen.engine == "local":
         _warm(plan)
-    return finish(plan, run(plan, engine, log, chosen.keep_going), log, chosen.strict)
+    return finish(plan, run(plan, engine, log, chosen.keep_going), log, chosen.strict, one)
 
 
 def _step(step: str, chosen: argparse.Namespace) -> int:
     from shadow_tracer.apps.bags.folder import PLAN
     from shadow_tracer.apps.bags.plan import Plan
-    from shadow_tracer.apps.bags.run import Log, Outcome, finish, run, states
+    from shadow_tracer.apps.bags.run import Log, Outcome, Watch, finish, follow, run
 
     log = Log(chosen.log_json)
     if step == "plan":
@@ -198,7 +198,7 @@ def _step(step: str, chosen: argparse.Namespace) -> int:
             log.say("bag_failed", f"failed: {bag}: {error}", bag=bag, error=error)
         return 1 if outcome.failed else 0
     left = faulty = 0
-    for entry, frames, windows, whole in states(plan):
+    for entry, frames, windows, whole in (follow(plan, log) if chosen.follow else Watch(plan)).states():
         state = "failed" if entry.error else "written" if whole else f"{windows} of {len(entry.windows)} windows"
         print(f"{entry.name}: {frames} of {entry.frames} frames, {state}{f': {entry.error}' if entry.error else ''}")
         faulty += bool(entry.error)
@@ -240,6 +240,8 @@ def _options(step: str) -> argparse.ArgumentParser:
         add_engine(parser)
     if step == "run":
         parser.add_argument("--shard", default="", metavar="N/COUNT", help="default: from a job array; else everything")
+    if step == "status":
+        parser.add_argument("--follow", action="store_true", help="show a bar until all windows are there")
     if step in ("", "commit"):
         parser.add_argument("--strict", action="store_true", help="a bag fails if nothing is known of any one image")
     parser.add_argument("--log-json", action="store_true", help="events as JSON, one a line")
