@@ -115,11 +115,11 @@ class Player:
         self._output = output
         self._names = names
         self._wish = wish
-        self._queue = FrameQueue()
+        self._queue = FrameQueue(settings.camera)
         self._queue.every = True
         # Static transforms are those of the moment in the log, not of a second of waiting: none is kept.
         self._frames = Frames(lambda: background.tree, static_period=0.0)
-        self._frames.poses_of[""] = background.poses
+        self._frames.poses_of[settings.camera] = background.poses
         self._frames.configure(settings)
         self._lighting = Lighting()
         self._processor = Processor(self._queue, self._frames, self.meshes.store, self._lighting)

@@ -100,6 +100,7 @@ class Recording:
     def __init__(self, path: Path, names: Names, lights: Iterable[str], max_pixels: int) -> None:
         self.path = path
         self._max_pixels = max_pixels
+        self._names = names
         inputs = INPUTS | {f"light {name}": (f"~/lights/{name}/pose", POSE) for name in lights}
         self._wanted = {names.topic(topic): (name, kind) for name, (topic, kind) in inputs.items()}
         if len(self._wanted) < len(inputs):
@@ -232,7 +233,7 @@ class Recording:
                 raise BagError(self._absent(name))
 
     def _absent(self, name: str) -> str:
-        plain, kind = INPUTS[name]
+        plain, kind = self._names.before(INPUTS[name][0]), INPUTS[name][1]
         there = {_full(c) for c in self.connections if c.msgtype == kind and c.msgcount}
         if name == "depth":
             ending = f"/{_SIBLING}"

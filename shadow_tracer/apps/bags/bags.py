@@ -109,13 +109,13 @@ def planned(chosen: argparse.Namespace, bags: Sequence[Path], log: Log, one: boo
     from shadow_tracer.ros.parameters.former_names import renamed
 
     names = Names(chosen.node, chosen.remap)
-    settings, warnings = load_settings(names, chosen.params_file, chosen.param)
+    settings, _, warnings = load_settings(names, chosen.params_file, chosen.param, chosen.camera)
     values, _ = renamed(parameters_of(names.node, chosen.params_file, chosen.param))
     for warning in warnings:
         log.say("warning", f"warning: {warning}")
     if chosen.threads < 1:
         raise ValueError(f"--threads: expected at least 1, got {chosen.threads}")
-    options = Options(chosen.node, list(chosen.remap), values, wishes(chosen), chosen.threads)
+    options = Options(chosen.node, list(chosen.remap), values, chosen.camera, wishes(chosen), chosen.threads)
     cut, out = _cut(chosen), chosen.output
     if (out / HIDDEN).is_dir():
         with only_one(out / HIDDEN / LOCK):
