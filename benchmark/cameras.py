@@ -26,7 +26,8 @@ os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp())
 
 import numpy as np
 import rclpy
-from node_overhead import BIAS, FOCAL, LAMP, WIDTH, image_msg, info_msg, wavy_sheet
+from node_overhead import BIAS, FOCAL, LAMP, WIDTH, image_msg, info_msg
+from procedural import wavy_sheet
 from rate import IMAGES, PHASES, PROFILE, ROOT
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

@@ -28,7 +28,8 @@ os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp())
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from node_overhead import BIAS, FOCAL, HEIGHT, LAMP, WIDTH, image_msg, info_msg, wavy_sheet
+from node_overhead import BIAS, FOCAL, HEIGHT, LAMP, WIDTH, image_msg, info_msg
+from procedural import wavy_sheet
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
