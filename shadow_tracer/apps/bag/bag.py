@@ -117,8 +117,9 @@ def perform(chosen: argparse.Namespace) -> int:
             print(line, file=sys.stderr)
         background = read_background(recording, settings)
         tracer = ShadowTracer(
-            settings.pipeline, settings.variant or None, device=settings.tracer_device, bounds=settings.bounds
-        )
+            settings.pipeline, settings.variant or None, device=settings.tracer_device, bounds=settings.bounds,
+            threads=settings.threads or None,
+        )  # fmt: skip
         tracer.warm_up()
         player = Player(recording, background, settings, tracer, output, names, wish)
         result = _play(player, recording)
