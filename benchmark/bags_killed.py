@@ -105,6 +105,21 @@ class Cluster:
         self._processes[name].wait()
         self.start(name)
 
+    def wait(self, workers: int) -> None:
+        """Wait until so many workers stand ready."""
+        from distributed import Client
+
+        with Client(self.address, timeout=60, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=60)
+
+    @property
+    def processor_seconds(self) -> float:
+        """What all of them have taken, those that were killed aside."""
+        rows = [
+            Path(f"/proc/{each.pid}/stat").read_text().rpartition(")")[2].split() for each in self._processes.values()
+        ]
+        return sum(int(row[11]) + int(row[12]) for row in rows) / os.sysconf("SC_CLK_TCK")
+
     def close(self) -> None:
         """End all of them."""
         for process in self._processes.values():

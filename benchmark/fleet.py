@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from bags_killed import PROGRAM, digest
+from bags_killed import PROGRAM, Cluster, digest
 from procedural import wavy_sheet
 from recordings import Recorder
 from report import finish
@@ -68,6 +68,19 @@ def timed(command: list[str]) -> tuple[float, float]:
     return time.monotonic() - begin, spent
 
 
+def by_cluster(command: list[str]) -> tuple[float, float]:
+    """The same of a command that wants the address of a scheduler, with a scheduler and two workers of their own, which
+    stand ready."""
+    cluster = Cluster()
+    try:
+        cluster.wait(2)
+        before = cluster.processor_seconds
+        wall, spent = timed([*PROGRAM, *command, cluster.address])
+        return wall, spent + cluster.processor_seconds - before
+    finally:
+        cluster.close()
+
+
 def planning(bag: Path) -> float:
     """Processor seconds of a plan, the least of three."""
     options, spent = Options("/shadow_tracer", [], dict(PARAMETERS), "", {}, 1), []
@@ -96,13 +109,13 @@ def main() -> int:
         cases = {
             "bag": ["bag", str(bag), str(out), *common, "--param", "threads:=1"],
             **{f"bags --jobs {jobs}": ["bags", *engine, "--jobs", str(jobs)] for jobs in (1, 2)},
-            "bags --jobs 2 --engine dask": ["bags", *engine, "--jobs", "2", "--engine", "dask"],
+            "bags --engine dask": ["bags", *engine, "--engine", "dask", "--scheduler"],
         }
         found: dict[str, list[tuple[float, float]]] = {name: [] for name in cases}
         answers = set()
         for _ in range(chosen.rounds):
             for name, command in cases.items():
-                found[name].append(timed([*PROGRAM, *command]))
+                found[name].append(by_cluster(command) if "dask" in command else timed([*PROGRAM, *command]))
                 answers.add(digest(out / "bag" if command[0] == "bags" else out))
                 shutil.rmtree(out)
                 print(name, found[name][-1], flush=True)
@@ -120,7 +133,7 @@ def main() -> int:
             "wall [s/GB]": walls[name] / chosen.gigabytes,
             "processor [s]": spent[name],
             "processor [s/GB]": spent[name] / chosen.gigabytes,
-            "efficiency": walls[one] / walls[name] / (2 if "--jobs 2" in name else 1),
+            "efficiency": walls[one] / walls[name] / (1 if name in ("bag", one) else 2),
             "efficiency by processor": spent[one] / spent[name],
             "planning, of processor [%]": 100.0 * plan / spent[name],
         }

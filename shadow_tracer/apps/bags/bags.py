@@ -152,12 +152,13 @@ def _engine(chosen: argparse.Namespace, plan: Plan) -> Engine:
     return engine_of(chosen, workers, play, good, report_of)
 
 
-def _warm(plan: Plan) -> None:
+def _warm(plan: Plan, log: Log) -> None:
     """Compile the kernels once, before many workers would, into the cache that they share."""
     from shadow_tracer.apps.bags.jobs import warm_up
 
     if any(entry.windows for entry in plan.entries):
-        warm_up(plan.options)
+        reserved = warm_up(plan.options)
+        log.say("worker", f"each worker reserves {reserved / 1e6:.0f} MB, and more for meshes", bytes=reserved)
 
 
 def everything(chosen: argparse.Namespace, bags: Sequence[Path], one: bool = False) -> int:
@@ -173,7 +174,7 @@ def everything(chosen: argparse.Namespace, bags: Sequence[Path], one: bool = Fal
         return 1
     engine = _engine(chosen, plan)
     if chosen.engine == "local":
-        _warm(plan)
+        _warm(plan, log)
     return finish(plan, run(plan, engine, log, chosen.keep_going), log, chosen.strict, one)
 
 

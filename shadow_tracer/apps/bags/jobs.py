@@ -201,10 +201,12 @@ def _report(key: str, result: Result, output: Output, tracer: ShadowTracer) -> R
     )
 
 
-def warm_up(options: Options) -> None:
-    """Make the kernels that these options need, which the cache keeps for other processes. Raises as ShadowTracer."""
-    _tracers.get(options)
+def warm_up(options: Options) -> int:
+    """Make the kernels that these options need, which the cache keeps for other processes. Returns how many bytes a
+    tracer with them reserves. Raises as ShadowTracer."""
+    reserved = _tracers.get(options).device_bytes
     _tracers.forget()
+    return reserved
 
 
 class _Surveys:
