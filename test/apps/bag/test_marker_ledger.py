@@ -13,7 +13,7 @@ from bag_journey import DEPTH, FOCAL, INFO, MARKER, MARKERS, MESH, corners
 from bag_maker import BagMaker, image, info
 
 from shadow_tracer.apps.bag import reader
-from shadow_tracer.apps.bag.marker_ledger import runs
+from shadow_tracer.apps.bag.marker_ledger import MarkerLedger, runs
 from shadow_tracer.apps.bag.names import Names
 from shadow_tracer.apps.bag.player import Player, Wish
 from shadow_tracer.apps.bag.reader import MESHES, Recording
@@ -41,9 +41,9 @@ def marker(chance: np.random.Generator, k: int) -> MarkerMessage:
     )  # fmt: skip
 
 
-def wild(seed: int, messages: int = 120) -> BagMaker:
+def wild(seed: int, meshes: bool) -> BagMaker:
     chance, made = np.random.default_rng(seed), BagMaker()
-    for k in range(messages):
+    for k in range(120):
         one = chance.random() < 0.5
         several = [marker(chance, k) for _ in range(1 if one else chance.integers(0, 4))]
         if one:
@@ -54,15 +54,15 @@ def wild(seed: int, messages: int = 120) -> BagMaker:
             made.now -= 2 * _STEP  # several at one time, or one before others
         if chance.random() < 0.1:
             made.raw("/mesh_marker", MARKER, b"\0\1\0\0nothing")
-        if chance.random() < 0.05:
+        if meshes and chance.random() < 0.05:
             made.raw("/mesh", MESH, encode_mesh(corners(0.1 * k), [(0, 1, 2)]))
         made.add(INFO, info(10, 8, k + 1, FOCAL / 4))
         made.add(DEPTH, image(np.ones((8, 10), np.uint16), k + 1))
     return made
 
 
-def player(recording: Recording, found: Survey) -> Player:
-    settings = settings_from({"bounds.max_triangles": MOST, "fixed_frame": "odom"})
+def player(recording: Recording, found: Survey, most: int = MOST) -> Player:
+    settings = settings_from({"bounds.max_triangles": most, "fixed_frame": "odom"})
     nothing: Any = None  # no image is answered
     return Player(recording, found.background(settings), settings, nothing, nothing, Names(), Wish())
 
@@ -73,22 +73,33 @@ def state(store: MeshStore, now: int) -> tuple[Any, ...]:
     return parts, store.lacking, {key: store._received[key] for key in parts}
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_markers_at_any_time_are_those_of_all_messages_before(tmp_path: Path, seed: int) -> None:
-    settings = settings_from({"bounds.max_triangles": MOST})
-    with Recording(wild(seed).write(tmp_path / "bag"), Names(), [], 1 << 20) as recording:
+@pytest.mark.parametrize("most", [MOST, 2], ids=["room", "too little room"])
+@pytest.mark.parametrize("seed", range(3))
+def test_markers_at_any_time_are_those_of_all_messages_before(tmp_path: Path, seed: int, most: int) -> None:
+    settings = settings_from({"bounds.max_triangles": most})
+    with Recording(wild(seed, most == MOST).write(tmp_path / "bag"), Names(), [], 1 << 20) as recording:
         found = survey(recording, settings)
-        all_of_them = player(recording, found)
+        all_of_them = player(recording, found, most)
         messages = list(recording.messages(MESHES))
         there = 0
-        for start in (found.frames[::3, 0] + 1).tolist():
-            one = player(recording, found)
+        for start in sorted({message.time for message in messages[::4]} | set(found.frames[::9, 0].tolist())):
+            one = player(recording, found, most)
             one.seek(found, start)
             while messages and messages[0].time < start:
                 all_of_them._receive_all([messages.pop(0)], [])
             assert state(one.meshes.store, start) == state(all_of_them.meshes.store, start)
             there += len(one.meshes.store.parts)
-    assert there > 60
+        assert there > 25
+
+
+def test_what_is_over_makes_room() -> None:
+    ledger = MarkerLedger(MOST)
+    for k in range(20):
+        message = MarkerMessage(id=k, frame="odom", points=corners(0.0), lifetime=3 * _STEP)
+        assert len(ledger.take("mesh_marker", encode_marker(message), 1 + k * _STEP)) == 1
+    found = ledger.finish()
+    assert found.most == 3 and len(found.rows) == len(found.keys) == 20
+    assert (found.rows[:17, 1] - found.rows[:17, 0] == 3 * _STEP).all()
 
 
 def test_what_is_in_force_is_read_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
