@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from shadow_tracer.apps.bag.bag import add_parameters, add_wishes, missing, wishes
 from shadow_tracer.apps.bag.names import Names, parameters_of
-from shadow_tracer.apps.fleet.engines import add_options
+from shadow_tracer.apps.fleet.engines import add_options, is_here
 
 if TYPE_CHECKING:
     from shadow_tracer.apps.bags.plan import Plan
@@ -173,7 +173,7 @@ def everything(chosen: argparse.Namespace, bags: Sequence[Path], one: bool = Fal
                 log.say("bag_failed", f"failed: {entry.bag}: {entry.error}", bag=entry.bag, error=entry.error)
         return 1
     engine = _engine(chosen, plan)
-    if chosen.engine == "local":
+    if is_here(chosen):
         _warm(plan, log)
     return finish(plan, run(plan, engine, log, chosen.keep_going), log, chosen.strict, one)
 

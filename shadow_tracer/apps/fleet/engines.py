@@ -42,6 +42,16 @@ def check_options(chosen: argparse.Namespace) -> None:
         raise ImportError("--engine dask needs distributed: pip install 'shadow_tracer[fleet]'")
 
 
+def _address(chosen: argparse.Namespace) -> str:
+    """Of the scheduler; "" if a file says it, or if there is none."""
+    return chosen.scheduler or ("" if chosen.scheduler_file else os.environ.get("DASK_SCHEDULER_ADDRESS", ""))
+
+
+def is_here(chosen: argparse.Namespace) -> bool:
+    """Whether all workers are processes of this machine that are started for these jobs."""
+    return chosen.engine == "local" or not (_address(chosen) or chosen.scheduler_file)
+
+
 def engine_of(
     chosen: argparse.Namespace, workers: int, work: Callable[[Any], Any], good: Callable[[Any], bool],
     known: Callable[[Any], Any],
@@ -63,7 +73,7 @@ def engine_of(
         return lambda jobs, done: run_local(work, jobs, workers, chosen.retries, good, done)
     from shadow_tracer.apps.fleet.cluster import run_dask
 
-    where = chosen.scheduler or ("" if chosen.scheduler_file else os.environ.get("DASK_SCHEDULER_ADDRESS", ""))
+    where = _address(chosen)
     return lambda jobs, done: run_dask(
         work, jobs, where, chosen.scheduler_file, workers, chosen.retries, good, known, done
     )
