@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -26,20 +25,11 @@ os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp())
 
 import numpy as np
 import rclpy
-from node_overhead import BIAS, FOCAL, LAMP, WIDTH, image_msg, info_msg, wavy_sheet
-from rate import IMAGES, PHASES, PROFILE, ROOT
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from publishing import NODE, WARM_UP, Publisher, Topics, compare, run_publisher
 from report import finish
-from sensor_msgs.msg import CameraInfo, Image
-from shape_msgs.msg import Mesh
 
-from shadow_tracer import Camera, PointLight, ShadowTracer
-from shadow_tracer.ros.wire.cdr import encode_mesh
 from shadow_tracer.testing import NodeProcess
 
-WARM_UP = 2.0  # s, published but not counted
 SAMPLE = 20  # one mask of so many of each camera is compared
 CELLS = 187  # 2 * 187^2 = 69,938 triangles
 
@@ -75,134 +65,30 @@ CASES = tuple(
 )
 
 
-def depth_image(number: int, case: Case) -> np.ndarray:
-    """(H, W) uint16 millimetres of a wall with noise, another one in ``IMAGES`` successive images."""
-    noise = np.random.default_rng(number % IMAGES).integers(-1, 2, (case.height, case.width))
-    return (2500 + noise).astype(np.uint16)
-
-
-class Player:
-    """The publishing process."""
-
-    def __init__(self, case: Case) -> None:
-        self.case = case
-        self.node = Node("player")
-        profile = QoSProfile(depth=10)
-        self.mesh_out = self.node.create_publisher(Mesh, "/mesh", profile)
-        self.out: dict[str, tuple[Any, Any]] = {}
-        self.sent: dict[tuple[str, int], tuple[int, float]] = {}
-        self.came: dict[tuple[str, int], tuple[float, bytes | None]] = {}
-        for camera in case.cameras:
-            depth = self.node.create_publisher(Image, f"/{camera}/depth/image_rect", profile)
-            info = self.node.create_publisher(CameraInfo, f"/{camera}/depth/camera_info", profile)
-            self.out[camera] = depth, info
-            self.node.create_subscription(
-                Image, case.mask(camera), lambda message, camera=camera: self._on_mask(camera, message), profile
-            )
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
-        self.meshes = [encode_mesh(*wavy_sheet(CELLS, 2 * np.pi * n / PHASES)) for n in range(PHASES)]
-        self.images = [depth_image(number, case) for number in range(IMAGES)]
-
-    def _on_mask(self, camera: str, message: Image) -> None:
-        now, stamp = time.perf_counter(), message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        number = self.sent.get((camera, stamp), (1, 0.0))[0]
-        self.came[camera, stamp] = now, bytes(message.data) if number % SAMPLE == 0 else None
-
-    def spin_until(self, done: Any, seconds: float) -> bool:
-        """Run callbacks until ``done()``, or until time is up."""
-        end = time.monotonic() + seconds
-        while not done() and time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.01)
-        return bool(done())
-
-    def play(self, seconds: float) -> None:
-        """Publish: the cameras evenly one after the other, a mesh before the images of the first."""
-        outputs = [self.mesh_out, *(each for pair in self.out.values() for each in pair)]
-        nodes = 1 if self.case.together else self.case.count
-        if not self.spin_until(
-            lambda: (
-                all(each.get_subscription_count() for each in outputs)
-                and self.mesh_out.get_subscription_count() == nodes
-            ),
-            60.0,
-        ):
-            raise SystemExit("the nodes do not subscribe")
-        begin, step = time.perf_counter() + 0.1, 1.0 / (self.case.rate * self.case.count)
-        for turn in range(round((seconds + WARM_UP) * self.case.rate) * self.case.count):
-            while (left := begin + turn * step - time.perf_counter()) > 0:
-                self.executor.spin_once(timeout_sec=left)
-            number, camera = divmod(turn, self.case.count)
-            self.image(self.case.cameras[camera], number, camera == 0)
-        self.spin_until(lambda: len(self.came) >= len(self.sent), 3.0)
-
-    def image(self, camera: str, number: int, mesh: bool) -> None:
-        """Publish an image, after a mesh or without."""
-        stamp, (depth, info) = time.time_ns(), self.out[camera]
-        if mesh:
-            self.mesh_out.publish(self.meshes[number % PHASES])
-        info.publish(info_msg(stamp, self.case.width, self.case.height))
-        message = image_msg(self.images[number % IMAGES], stamp)
-        self.sent[camera, stamp] = number, time.perf_counter()
-        depth.publish(message)
-
-    def result(self, samples: Path) -> dict[str, Any]:
-        """Figures after the warm-up; the sampled masks go to a file."""
-        first = round(WARM_UP * self.case.rate)
-        counted = {key: entry for key, entry in self.sent.items() if entry[0] >= first}
-        kept = {key: self.came[key][1] for key in counted if key in self.came and self.came[key][1] is not None}
-        masks = [np.frombuffer(mask, np.uint8) for mask in kept.values() if mask is not None]
-        np.savez_compressed(samples, numbers=[counted[key][0] for key in kept], masks=np.array(masks))
-        came = {
-            camera: [1e3 * (self.came[key][0] - at) for key, (_, at) in counted.items()
-                     if key in self.came and key[0] == camera]
-            for camera in self.case.cameras
-        }  # fmt: skip
-        return {"sent": len(counted) // self.case.count, "came": came}
-
-
 def play(case: Case, seconds: float, samples: Path) -> None:
     """What the publishing process does; its result goes to stdout as JSON."""
     rclpy.init(args=[])
-    player = Player(case)
+    cameras = {
+        camera: Topics(f"/{camera}/depth/image_rect", f"/{camera}/depth/camera_info", case.mask(camera))
+        for camera in case.cameras
+    }
+    publisher = Publisher(CELLS, case.width, case.height, cameras, SAMPLE)
+
+    def before(camera: int, number: int) -> None:
+        if camera == 0:
+            publisher.mesh(number)
+
     try:
-        player.play(seconds)
-        print(json.dumps(player.result(samples)))
+        publisher.wait_for(1 if case.together else case.count)
+        publisher.play(case.rate, seconds, before)
+        print(json.dumps(publisher.result(case.rate, samples)))
     finally:
-        player.executor.shutdown()
-        player.node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def compare(case: Case, samples: Path) -> tuple[int, int]:
-    """Compare the sampled masks with the library's: how many, and how many had the mesh of a neighbouring image.
-
-    Raises:
-        SystemExit: a mask is that of no mesh it could be of.
-    """
-    stored, tracer = np.load(samples), ShadowTracer(device="cpu")
-    focal = FOCAL * case.width / WIDTH
-    camera = Camera(case.width, case.height, focal, focal, case.width / 2, case.height / 2)
-    neighbours = 0
-    for number, mask in zip(stored["numbers"].tolist(), stored["masks"], strict=True):
-        for step in (0, 1, -1, 2, -2, 3, -3):
-            tracer.scene.put("mesh", *wavy_sheet(CELLS, 2 * np.pi * ((number + step) % PHASES) / PHASES))
-            depth = depth_image(number, case)
-            found = tracer.trace(depth, camera, [PointLight("lamp", LAMP)], bias=BIAS).mask()
-            if np.array_equal(mask.reshape(found.shape), found):
-                neighbours += step != 0
-                break
-        else:
-            raise SystemExit(f"{case.name}: the mask of image {number} is not the library's")
-    if not len(stored["masks"]):
-        raise SystemExit(f"{case.name}: no mask to compare")
-    return len(stored["masks"]), neighbours
+        publisher.close()
 
 
 def nodes_of(case: Case) -> list[NodeProcess]:
     """The nodes, started side by side."""
-    values: dict[str, Any] = {"light_names": ["lamp"], "lights.lamp.position": list(LAMP), "pose_source": "parameter"}
-    values |= {"bias.constant": BIAS.constant, "bias.quadratic": BIAS.quadratic, "bias.normal": BIAS.normal}
+    values: dict[str, Any] = {**NODE, "pose_source": "parameter"}
     values |= {"bounds.max_triangles": 100_000, "bounds.max_rays": case.width * case.height, "bounds.max_lights": 4}
     if case.together:
         return [NodeProcess({**values, "camera_names": case.cameras})]
@@ -224,7 +110,6 @@ def processor_seconds(pid: int) -> float:
 
 def measure(case: Case, seconds: float) -> dict[str, Any]:
     """Run the nodes and a publisher; a line of the table."""
-    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH", ""))))
     begin = time.monotonic()
     nodes = nodes_of(case)
     try:
@@ -233,23 +118,17 @@ def measure(case: Case, seconds: float) -> dict[str, Any]:
         start, started = time.monotonic() - begin, sum(processor_seconds(node.pid) for node in nodes)
         with tempfile.TemporaryDirectory() as folder:
             samples = Path(folder) / "masks.npz"
-            arguments = ["--play", json.dumps(asdict(case)), "--samples", str(samples), "--seconds", str(seconds)]
-            player = subprocess.run(
-                [sys.executable, str(Path(__file__).resolve()), *arguments], stdout=subprocess.PIPE, check=True,
-                env={**os.environ, "PYTHONPATH": path, "FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE)},
-            )  # fmt: skip
+            result = run_publisher(__file__, asdict(case), samples, True, "--seconds", str(seconds))
             memory = sum(proportional(node.pid) for node in nodes)
             worked = sum(processor_seconds(node.pid) for node in nodes) - started
             for node in nodes:
                 node.close()
-            compared, neighbours = compare(case, samples)
+            compared, neighbours = compare(case.name, samples, CELLS, case.width, case.height, 3)
     finally:
         for node in nodes:
             node.close()
-    result = json.loads(player.stdout)
-    came = result["came"]
-    every = np.concatenate([np.asarray(times) for times in came.values()])
-    answered = [100.0 * len(times) / result["sent"] for times in came.values()]
+    every = np.concatenate([np.asarray(times) for times in result["took"].values()])
+    answered = [100.0 * len(times) * case.count / result["sent"] for times in result["took"].values()]
     return {
         "case": case.name,
         "answered, each camera [%]": " ".join(f"{share:.0f}" for share in answered),

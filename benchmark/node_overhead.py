@@ -24,6 +24,7 @@ os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp())
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from procedural import wavy_sheet
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -43,16 +44,6 @@ WIDTH, HEIGHT, FOCAL = 640, 480, 525.0
 LAMP = (0.4, -0.3, 0.2)
 BIAS = Bias(0.02, 0.003, 0.6)  # the node's default
 _WARM_UP = 5
-
-
-def wavy_sheet(cells: int, phase: float) -> tuple[np.ndarray, np.ndarray]:
-    """A sheet of 2 * cells^2 triangles between camera and wall that waves with ``phase``."""
-    u, v = np.meshgrid(np.linspace(-0.6, 0.6, cells + 1), np.linspace(-0.45, 0.45, cells + 1))
-    z = 1.2 + 0.08 * np.sin(7 * u + phase) * np.cos(5 * v - phase)
-    corner = np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)
-    a, b, c, d = corner, corner + 1, corner + cells + 2, corner + cells + 1
-    triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
-    return np.stack([u, v, z], axis=-1).reshape(-1, 3), triangles
 
 
 def info_msg(stamp: int, width: int = WIDTH, height: int = HEIGHT) -> CameraInfo:

@@ -336,3 +336,13 @@ def stadium(triangles: int = 70_000, frames: int = 2) -> Procedural:
 
 
 SCENES: dict[str, Callable[..., Procedural]] = {"robots": robots, "museum": museum, "stadium": stadium}
+
+
+def wavy_sheet(cells: int, phase: float) -> tuple[np.ndarray, np.ndarray]:
+    """A sheet of 2 * cells^2 triangles between camera and wall that waves with ``phase``."""
+    u, v = np.meshgrid(np.linspace(-0.6, 0.6, cells + 1), np.linspace(-0.45, 0.45, cells + 1))
+    z = 1.2 + 0.08 * np.sin(7 * u + phase) * np.cos(5 * v - phase)
+    corner = np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)
+    a, b, c, d = corner, corner + 1, corner + cells + 2, corner + cells + 1
+    triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    return np.stack([u, v, z], axis=-1).reshape(-1, 3), triangles

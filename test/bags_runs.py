@@ -42,7 +42,7 @@ def play_windows(
     bag: Path, out: Path, parameters: dict[str, Any], frames: int, **wish: bool
 ) -> tuple[list[tuple[str, int, bytes]], list[Report]]:
     """Messages of all windows of so many images one behind the other, the last window played first; and reports."""
-    options = Options("/shadow_tracer", [], parameters, WISH | wish, 1)
+    options = Options("/shadow_tracer", [], parameters, "", WISH | wish, 1)
     (entry,) = (plan := make([bag], out, options, Cut(frames), None, False)).entries
     assert not entry.error
     jobs = list(plan.jobs())

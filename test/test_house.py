@@ -108,7 +108,7 @@ _MAY_USE: dict[str, tuple[str, ...]] = {
     "apps/bag": ("shadow_tracer.ros", *_BELOW_ROS),
     "apps/fleet": (),
     "apps/bags": ("shadow_tracer.apps.bag", "shadow_tracer.apps.fleet", "shadow_tracer.ros", *_BELOW_ROS),
-    "apps/terrain": ("shadow_tracer.terrain", "shadow_tracer.scene"),
+    "apps/terrain": ("shadow_tracer.apps.fleet", "shadow_tracer.terrain", "shadow_tracer.scene"),
     "apps/demo": (
         "shadow_tracer.ros",
         "shadow_tracer.depth_camera",

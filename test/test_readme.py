@@ -108,13 +108,13 @@ def rows(text: str) -> list[list[str]]:
 
 @pytest.mark.parametrize(
     ("page", "count"),
-    [(README, 1), (LIBRARY, 8), (DOSE, 3), (TERRAIN, 4)],
+    [(README, 1), (LIBRARY, 8), (DOSE, 3), (TERRAIN, 6)],
     ids=["README.md", "docs/library.md", "docs/dose.md", "docs/terrain.md"],
 )
 def test_the_code_for_the_library_gives_what_its_comments_say(page: Path, count: int) -> None:
     if page == TERRAIN:
-        for name in ("ephem", "xarray"):
-            pytest.importorskip(name, reason="needs the extra: pip install 'shadow_tracer[terrain]'")
+        for name in ("dask", "ephem", "xarray"):
+            pytest.importorskip(name, reason="needs the extras: pip install 'shadow_tracer[terrain,fleet]'")
     code = blocks(page, "python")
     assert len(code) == 1, "one block for the library"
     pairs = list(results(code[0]))

@@ -7,13 +7,13 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from shadow_tracer.scene.checks import finite
 from shadow_tracer.scene.surface import HeightField
+from shadow_tracer.terrain.blocks import lazy_dataset
 from shadow_tracer.terrain.dataset import Gathered, dataset, xarray
 from shadow_tracer.terrain.grid import Grid
-from shadow_tracer.terrain.plan import Window, make_plan
+from shadow_tracer.terrain.plan import Plan, Read, make_plan
 from shadow_tracer.terrain.suns import SOLAR_CONSTANT, Place, suns
 from shadow_tracer.terrain.tile import solve, tracer_for
 
@@ -33,6 +33,7 @@ def sunlight(
     tile: int = 1024,
     memory: float = 2e9,
     device: str | None = None,
+    lazy: bool = False,
 ) -> Any:
     """When and how long the sun reaches each cell of a terrain, exactly.
 
@@ -50,6 +51,7 @@ def sunlight(
         curvature: lower heights by d^2 / 2R, for terrain of more than 10 km around its centre.
         tile, memory: cells of a tile along an edge, and what one may take [bytes].
         device: as for :class:`ShadowTracer`.
+        lazy: cells are computed when they are looked at, tile by tile, by Dask (``xarray.map_blocks``); else now.
 
     Returns:
         An xarray.Dataset: ``sun_code`` (0 lit, 1 turned away, 2 cast shadow, 3 unknown) and ``sunlit`` for each time;
@@ -60,7 +62,7 @@ def sunlight(
 
     Raises:
         ValueError: an argument is malformed, or the terrain is too large to be flat; the message names it.
-        ImportError: xarray, ephem or Warp is not installed.
+        ImportError: xarray, ephem or Warp is not installed, or Dask for ``lazy``.
     """
     xarray()
     if not isinstance(height_field, HeightField):
@@ -70,17 +72,19 @@ def sunlight(
     check_options(above, beyond, tile, memory)
     grid = Grid.of(height_field, curvature).checked()
 
-    def read(window: Window) -> npt.NDArray[np.float64]:
-        return height_field.z[window]
-
+    read = height_field.z.__getitem__
     plan = make_plan(grid, suns(times, place, interval, irradiance), read, tile, memory, above, beyond)
+    made = lazy_dataset if lazy else _now
+    return made(plan, read, *_coordinates(height_field), device).assign_attrs(suns_beyond_memory=plan.short)
+
+
+def _now(plan: Plan, read: Read, coordinates: dict[str, Any], dims: tuple[str, str], device: str | None) -> Any:
+    """The Dataset of a plan."""
     gathered = Gathered(plan)
     tracer = tracer_for(*plan.largest, device=device)
     for number, which in enumerate(plan.tiles):
         gathered.put(which.answered, solve(plan.tile(number, read), tracer))
-    found = dataset(gathered, plan, *_coordinates(height_field))
-    found.attrs["suns_beyond_memory"] = plan.short
-    return found
+    return dataset(gathered, plan, coordinates, dims)
 
 
 def check_options(above: float, beyond: str, tile: int, memory: float) -> None:

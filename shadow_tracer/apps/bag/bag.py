@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from shadow_tracer import ShadowTracer
 from shadow_tracer.apps.bag.names import Names, parameters_of
 from shadow_tracer.ros.parameters.former_names import renamed
-from shadow_tracer.ros.parameters.parameters import light_names, names_for, problems_in, settings_from, unknown_names
+from shadow_tracer.ros.parameters.parameters import light_names, names_in, problems_in, settings_from, unknown_names
 from shadow_tracer.ros.settings import Settings
 
 if TYPE_CHECKING:
@@ -56,8 +56,18 @@ def missing() -> str:
     return f"to read bags {', '.join(absent)} is needed: pip install 'shadow_tracer[bag]'" if absent else ""
 
 
-def load_settings(names: Names, files: Sequence[Path], given: Sequence[str]) -> tuple[Settings, list[str]]:
+def load_settings(
+    names: Names, files: Sequence[Path], given: Sequence[str], camera: str
+) -> tuple[Settings, Names, list[str]]:
     """The node's settings from parameter files and ``name:=value``, and warnings about what has no effect.
+
+    Args:
+        names: of the node.
+        files, given: as for ``ros2 run``.
+        camera: of several, the one whose images are answered; "" where there is one without a name.
+
+    Returns:
+        Settings and names of the camera, and the warnings.
 
     Raises:
         ValueError: a file or a value is bad; one line for each.
@@ -65,14 +75,21 @@ def load_settings(names: Names, files: Sequence[Path], given: Sequence[str]) -> 
     values, former = renamed(parameters_of(names.node, files, given))
     if problems := problems_in(values):
         raise ValueError("\n".join(problems))
-    settings, lights = settings_from(values), light_names(values)
-    if settings.cameras:
-        raise ValueError(
-            f"camera_names: a bag is read for one camera at a time, got [{', '.join(settings.camera_names)}]; run it "
-            "once for each, with --param \"camera_names:=['']\" and --remap depth/image_rect:=..."
-        )
+    settings, names = of_camera(settings_from(values), names, camera)
     ours = [name for name in values if not name.startswith(_NOT_OURS)]
-    return settings, former + unknown_names(ours, names_for(lights), lights)
+    return settings, names, former + unknown_names(ours, names_in(values), light_names(values))
+
+
+def of_camera(settings: Settings, names: Names, camera: str) -> tuple[Settings, Names]:
+    """Settings and names for the images of one camera; "" is one without a name. Raises ValueError."""
+    known = {each.name: each for each in settings.cameras}
+    if camera in known:
+        return settings.of(camera), names.of(known[camera])
+    if known:
+        raise ValueError(f"--camera: expected one of {', '.join(known)}, cameras of the parameters, got {camera!r}")
+    if camera:
+        raise ValueError(f"--camera: expected none, the parameters have no camera_names, got {camera!r}")
+    return settings, names
 
 
 def perform(chosen: argparse.Namespace) -> int:
@@ -89,7 +106,7 @@ def perform(chosen: argparse.Namespace) -> int:
 
     start = time.monotonic()
     names = Names(chosen.node, chosen.remap)
-    settings, warnings = load_settings(names, chosen.params_file, chosen.param)
+    settings, names, warnings = load_settings(names, chosen.params_file, chosen.param, chosen.camera)
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     lights = [light.name for light in settings.lights if light.type != "sun"]
@@ -100,8 +117,9 @@ def perform(chosen: argparse.Namespace) -> int:
             print(line, file=sys.stderr)
         background = read_background(recording, settings)
         tracer = ShadowTracer(
-            settings.pipeline, settings.variant or None, device=settings.tracer_device, bounds=settings.bounds
-        )
+            settings.pipeline, settings.variant or None, device=settings.tracer_device, bounds=settings.bounds,
+            threads=settings.threads or None,
+        )  # fmt: skip
         tracer.warm_up()
         player = Player(recording, background, settings, tracer, output, names, wish)
         result = _play(player, recording)
@@ -205,6 +223,9 @@ def add_parameters(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="FROM:=TO",
         help="another name for a topic, as for ros2 run; may be repeated",
+    )
+    parser.add_argument(
+        "--camera", default="", metavar="NAME", help="whose images, where the parameters name several (camera_names)"
     )
     parser.add_argument(
         "--node",

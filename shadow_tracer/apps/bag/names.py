@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from shadow_tracer.ros.settings import CameraSettings
+
+_OF_A_CAMERA = ("camera_info", "irradiance", "light_bits", "mask", "overlay", "timing", "visibility")
 _NODE = re.compile(r"(/[A-Za-z_]\w*)+")
 _TOPIC = re.compile(r"(~?/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
 
@@ -30,16 +34,34 @@ class Names:
         self.node = node
         self._namespace = node.rpartition("/")[0]
         self._remaps: dict[str, str] = {}
+        self._camera = ""
+        self._inputs: dict[str, str] = {}
         for rule in remaps:
             before, found, after = rule.partition(":=")
             if not found or not _TOPIC.fullmatch(before) or not _TOPIC.fullmatch(after):
                 raise ValueError(f"--remap: expected from:=to with two topics, got {rule!r}")
             self._remaps[self._expand(before)] = self._expand(after)
 
+    def of(self, camera: CameraSettings) -> Names:
+        """The names where the node has several cameras, for one of them."""
+        names = copy.copy(self)
+        names._camera = camera.name
+        names._inputs = {
+            "depth/image_rect": camera.depth_topic, "depth/camera_info": camera.info_topic,
+            "camera_pose": camera.pose_topic,
+        }  # fmt: skip
+        return names
+
     def topic(self, name: str) -> str:
         """Full name of a topic, such as ``depth/image_rect`` or ``~/mask``, after remapping."""
-        full = self._expand(name)
+        full = self._expand(self.before(name))
         return self._remaps.get(full, full)
+
+    def before(self, name: str) -> str:
+        """What the topic is called that a remapping of this one names: that of the camera."""
+        if self._camera and name.startswith("~/") and name[2:].partition("/")[0] in _OF_A_CAMERA:
+            return f"~/{self._camera}/{name[2:]}"
+        return self._inputs.get(name, name)
 
     def _expand(self, name: str) -> str:
         if name.startswith("/"):

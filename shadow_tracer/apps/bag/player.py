@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from heapq import merge
@@ -21,8 +21,10 @@ import numpy as np
 from shadow_tracer import ShadowTracer
 from shadow_tracer.apps.bag.dose import TOPICS, BagDose
 from shadow_tracer.apps.bag.ground import BagGround
+from shadow_tracer.apps.bag.heads import header_of
+from shadow_tracer.apps.bag.marker_ledger import is_marker, runs
 from shadow_tracer.apps.bag.names import Names
-from shadow_tracer.apps.bag.reader import MESHES, Background, Message, Recording, add_transforms, header_of
+from shadow_tracer.apps.bag.reader import MESHES, Background, Message, Recording, add_transforms
 from shadow_tracer.apps.bag.survey import REPLACING, Survey
 from shadow_tracer.apps.bag.writer import Output
 from shadow_tracer.ros import diagnostics
@@ -32,11 +34,14 @@ from shadow_tracer.ros.node.answer import MOST_BITS, Answer, published_mask
 from shadow_tracer.ros.node.processing import Processor
 from shadow_tracer.ros.node.queries import Queries
 from shadow_tracer.ros.settings import Settings
+from shadow_tracer.ros.wire.grid_map import KEY as GRID_KEY
 from shadow_tracer.ros.wire.messages import MessageError, decode_depth, pose_matrix
+from shadow_tracer.ros.wire.parts import Changes
 from shadow_tracer.ros.world.frames import Frames
 from shadow_tracer.ros.world.lighting import Lighting, LightPose
 from shadow_tracer.ros.world.mesh_sources import MeshSources
 
+_MARKERS = ("mesh_markers", "mesh_marker")
 _NOW = 0.0  # steady time: nothing waits here
 _BY_LIGHT = ("mask", "visibility", "irradiance")  # topics of which each light has one
 _LATER = 1e9  # by then everything has waited long enough
@@ -115,11 +120,11 @@ class Player:
         self._output = output
         self._names = names
         self._wish = wish
-        self._queue = FrameQueue()
+        self._queue = FrameQueue(settings.camera)
         self._queue.every = True
         # Static transforms are those of the moment in the log, not of a second of waiting: none is kept.
         self._frames = Frames(lambda: background.tree, static_period=0.0)
-        self._frames.poses_of[""] = background.poses
+        self._frames.poses_of[settings.camera] = background.poses
         self._frames.configure(settings)
         self._lighting = Lighting()
         self._processor = Processor(self._queue, self._frames, self.meshes.store, self._lighting)
@@ -190,19 +195,37 @@ class Player:
         self._received_before = self.meshes.received
 
     def _seek_meshes(self, survey: Survey, start: int, frames: list[int]) -> None:
-        """Of topics whose messages replace each other the last will do, unless one was refused or might have been."""
-        last = [self._recording.messages(("mesh_markers", "mesh_marker", "grid_map"), None, start)]
+        """Of topics whose messages replace each other the last will do, and of markers those that brought one that is
+        in force; unless something was refused for lack of room, or might have been: then all messages are taken."""
+        store, files = self.meshes.store, self.meshes.store.triangle_count
+        keys, times = survey.markers.at(start)
+        last = [self._recording.messages(("grid_map",), None, start), self._markers_at(survey, times, start)]
         for name in REPLACING:
             if (time := survey.last_mesh(name, start)) is not None:
                 last.append(self._recording.messages((name,), time, start))
-        most = self._receive_all(merge(*last, key=lambda message: message.time), frames)
-        if self.meshes.refused or most + survey.largest_replacing > self._settings.max_triangles:
+        ground = self._receive_all(merge(*last, key=lambda message: message.time), frames)
+        # What came together with one in force and has gone.
+        store.commit(Changes(remove=tuple(key for key in store.parts if is_marker(key) and key not in keys)), start)
+        refused = sum(self.meshes.sources[name].refused.count for name in (*REPLACING, "grid_map"))
+        most = files + ground + survey.markers.most + survey.largest_replacing
+        if refused or most > self._settings.max_triangles:
             self.meshes.clear(0)
             self._ground.restart()
             self._receive_all(self._recording.messages(MESHES, None, start), frames)
 
+    def _markers_at(self, survey: Survey, times: set[int], start: int) -> Iterator[Message]:
+        """Messages with markers at some times [ns], and the last one before ``start``, by which is known whether a mesh
+        is lacking."""
+        every = np.sort(np.concatenate([np.array(survey.meshes.get(name, []), np.int64) for name in _MARKERS]))
+        wanted = times | set(every[: np.searchsorted(every, start)][-1:].tolist())
+        for first, last in runs(every, wanted):
+            for message in self._recording.messages(_MARKERS, first, last + 1):
+                if message.time in wanted:
+                    yield message
+
     def _receive_all(self, messages: Iterable[Message], frames: list[int]) -> int:
-        """Take meshes at the times of the log, with images in between. Returns the most triangles there were."""
+        """Take meshes at the times of the log, with images in between. Returns the most triangles that the ground
+        had."""
         most = waiting = 0
         for message in messages:
             while waiting < len(frames) and frames[waiting] <= message.time:
@@ -212,7 +235,8 @@ class Player:
                 self._mesh(message)
                 if message.name == "grid_map":
                     self._ground.skip(self._settings, message.time)
-            most = max(most, self.meshes.store.triangle_count)
+            if (ground := self.meshes.store.parts.get(GRID_KEY)) is not None:
+                most = max(most, len(ground.triangles))
         for time_ns in frames[waiting:]:
             self._ground.skip(self._settings, time_ns)
         return most

@@ -7,8 +7,7 @@ Topics are known by the short names of :data:`INPUTS`; those of lights are ``lig
 from __future__ import annotations
 
 import shlex
-import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from heapq import merge
@@ -19,7 +18,8 @@ from typing import Any
 import numpy as np
 from rosbags.highlevel import AnyReader
 
-from shadow_tracer.apps.bag.files import BagError, BagFiles
+from shadow_tracer.apps.bag.files import ZSTD, BagError, BagFiles
+from shadow_tracer.apps.bag.heads import HEADER, Heads, HeadsError, has_header
 from shadow_tracer.apps.bag.names import Names
 from shadow_tracer.apps.bag.types import USUAL, Convert, Types, usual_name
 from shadow_tracer.ros.settings import Settings
@@ -48,6 +48,7 @@ INPUTS = {
     "tf_static": ("/tf_static", TF),
 }
 MESHES = ("mesh", "mesh_markers", "mesh_marker", "mesh_cloud", "grid_map")
+_ONCE = ("tf", "pose")  # what is not read again when a bag is played
 _SIBLING = "compressedDepth"  # what image_transport adds to the name of a topic
 
 
@@ -63,6 +64,7 @@ class Message:
         raw: the bytes as they were recorded.
         convert: what makes them those of :attr:`kind` in ROS 2.
         connection: the topic as rosbags knows it.
+        unread: how many of its bytes were left out, at its end.
     """
 
     name: str
@@ -72,6 +74,12 @@ class Message:
     raw: bytes
     convert: Convert
     connection: Any
+    unread: int = 0
+
+    @property
+    def size(self) -> int:
+        """How many bytes were recorded."""
+        return len(self.raw) + self.unread
 
     @property
     def data(self) -> bytes:
@@ -100,6 +108,7 @@ class Recording:
     def __init__(self, path: Path, names: Names, lights: Iterable[str], max_pixels: int) -> None:
         self.path = path
         self._max_pixels = max_pixels
+        self._names = names
         inputs = INPUTS | {f"light {name}": (f"~/lights/{name}/pose", POSE) for name in lights}
         self._wanted = {names.topic(topic): (name, kind) for name, (topic, kind) in inputs.items()}
         if len(self._wanted) < len(inputs):
@@ -150,6 +159,24 @@ class Recording:
                 chosen.append(self._messages_of(number, connections, start, stop))
         return merge(*chosen, key=lambda message: message.time)
 
+    def heads(self, names: Iterable[str], headers: Collection[str]) -> Iterator[Message]:
+        """As :meth:`messages`; of those of the inputs ``headers`` no more than their header where a file's index allows
+        it. All but transforms and poses is read again when the bag is played, which checks what is not checked here.
+
+        Raises:
+            BagError: as :meth:`messages`.
+            HeadsError: an index says what is not so; :meth:`messages` does without it.
+        """
+        wanted, chosen = set(names), []
+        for number, reader in enumerate(self._readers):
+            connections = [c for c in reader.connections if self._name(c) in wanted]
+            if connections:
+                if self._files.paths[number].suffix == ".mcap":
+                    chosen.append(self._heads_of(number, connections, headers))
+                else:
+                    chosen.append(self._messages_of(number, connections, None, None))
+        return merge(*chosen, key=lambda message: message.time)
+
     def decode(self, message: Message) -> Any:
         """The message as an object; a compressed depth image as the image it holds.
 
@@ -182,11 +209,7 @@ class Recording:
     def _messages_of(
         self, number: int, connections: list[Any], start: int | None, stop: int | None
     ) -> Iterator[Message]:
-        known = {}
-        for connection in connections:
-            types, kind = self._types[id(connection.owner)], connection.msgtype
-            convert = types.converter(kind) or types.copier(kind)[0]
-            known[connection.id] = (self._name(connection), _full(connection), usual_name(kind), convert)
+        known = {connection.id: self._described(connection) for connection in connections}
         try:
             for connection, time, data in self._readers[number].messages(connections, start, stop):
                 name, topic, kind, convert = known[connection.id]
@@ -198,6 +221,32 @@ class Recording:
                 cure = f"mcap sort {shlex.quote(str(file))} -o sorted.mcap"
                 raise BagError(f"{file}: an mcap file without index that is not sorted; try: {cure}") from error
             raise BagError(f"{self.path}: the bag is damaged: {type(error).__name__} {error}") from error
+
+    def _heads_of(self, number: int, connections: list[Any], headers: Collection[str]) -> Iterator[Message]:
+        try:
+            heads = Heads(self._files.paths[number])
+        except HeadsError:
+            yield from self._messages_of(number, connections, None, None)
+            return
+        known = {connection.topic: (*self._described(connection), connection) for connection in connections}
+        short = {c.topic for c in connections if self._name(c) in headers and self._is_plain(c)}
+        again = {c.topic for c in connections if self._name(c) not in _ONCE}
+        with heads:
+            for head in heads.read({topic: HEADER if topic in short else None for topic in known}, again):
+                name, topic, kind, convert, connection = known[head.topic]
+                raw = head.data
+                if raw[:4] == ZSTD or not has_header(name, raw):
+                    raw = head.rest()
+                yield Message(name, topic, head.time, kind, raw, convert, connection, head.size - len(raw))
+
+    def _described(self, connection: Any) -> tuple[str, str, str, Convert]:
+        """Name of its input, full topic, type, and what makes bytes those of this type."""
+        types, kind = self._types[id(connection.owner)], connection.msgtype
+        convert = types.converter(kind) or types.copier(kind)[0]
+        return self._name(connection), _full(connection), usual_name(kind), convert
+
+    def _is_plain(self, connection: Any) -> bool:
+        return self._types[id(connection.owner)].is_plain(connection.msgtype)
 
     def _name(self, connection: Any) -> str:
         return self._wanted.get(_full(connection), ("", ""))[0]
@@ -232,7 +281,7 @@ class Recording:
                 raise BagError(self._absent(name))
 
     def _absent(self, name: str) -> str:
-        plain, kind = INPUTS[name]
+        plain, kind = self._names.before(INPUTS[name][0]), INPUTS[name][1]
         there = {_full(c) for c in self.connections if c.msgtype == kind and c.msgcount}
         if name == "depth":
             ending = f"/{_SIBLING}"
@@ -324,19 +373,6 @@ def read_background(recording: Recording, settings: Settings) -> Background:
         except MessageError as error:
             reader.found.refuse(message.name, error)
     return reader.finish()
-
-
-def header_of(data: bytes) -> tuple[int, str]:
-    """Stamp [ns] and frame of a message that begins with a header, from plain CDR. Raises MessageError."""
-    order = ">" if data[1:2] == b"\0" else "<"
-    try:
-        seconds, nanoseconds, size = struct.unpack_from(f"{order}iII", data, 4)
-        name = data[16 : 16 + size].decode() if size else ""
-    except (struct.error, UnicodeDecodeError) as error:
-        raise MessageError(f"header: cannot be read: {error}") from error
-    if len(data) < 16 + size:
-        raise MessageError("header: the message ends within it")
-    return seconds * 1_000_000_000 + nanoseconds, name.rstrip("\0")
 
 
 def add_transforms(background: Background, message: Any, static: bool) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import json
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,16 +19,24 @@ from typing import Any
 import numpy as np
 
 from shadow_tracer.apps.bag.files import BagError
-from shadow_tracer.apps.bag.reader import BACKGROUND, MESHES, Background, BackgroundReader, Recording, header_of
+from shadow_tracer.apps.bag.heads import HeadsError, header_of
+from shadow_tracer.apps.bag.marker_ledger import MarkerLedger, MarkerLives
+from shadow_tracer.apps.bag.reader import (
+    BACKGROUND,
+    MESHES,
+    Background,
+    BackgroundReader,
+    Message,
+    Recording,
+)
 from shadow_tracer.apps.bag.types import USUAL
 from shadow_tracer.ros.settings import Settings
-from shadow_tracer.ros.wire.layouts import Layouts
 from shadow_tracer.ros.wire.messages import MessageError, pose_matrix
-from shadow_tracer.ros.wire.parts import PartError
 from shadow_tracer.ros.world.lighting import LightPose
 from shadow_tracer.ros.world.transform_tree import TransformTree
 
 REPLACING = ("mesh", "mesh_cloud")  # of these topics each message replaces the one before
+_HEADERS = ("depth", "mesh", "mesh_cloud", "grid_map")  # of these no more is looked at
 _LEAST = 12  # bytes of a message for each triangle: three numbers of a corner, or of its indices
 _KINDS = {
     "info": "sensor_msgs/msg/CameraInfo",
@@ -47,6 +55,7 @@ class Survey:
         logged: time and plain CDR of each camera_info, pose of the camera, static transform and good pose of a light,
             by input.
         meshes: times of messages, by topic.
+        markers: which of them are in force when.
         largest_replacing: triangles that the largest messages of :data:`REPLACING` could have, together.
         whole: why the bag cannot be cut, a sentence each.
         refused: how many messages cannot be used, and the last reason, by input.
@@ -57,6 +66,7 @@ class Survey:
     frame_names: list[str] = field(default_factory=list)
     logged: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
     meshes: dict[str, list[int]] = field(default_factory=dict)
+    markers: MarkerLives = field(default_factory=MarkerLives)
     largest_replacing: int = 0
     whole: list[str] = field(default_factory=list)
     refused: dict[str, tuple[int, str]] = field(default_factory=dict)
@@ -118,13 +128,15 @@ class Survey:
         blob = b"".join(data for name in names for _, data in self.logged[name])
         texts = {
             "frame_names": self.frame_names, "logged": names, "meshes": self.meshes, "whole": self.whole,
-            "refused": self.refused, "largest_replacing": self.largest_replacing,
+            "refused": self.refused, "largest_replacing": self.largest_replacing, "keys": self.markers.keys,
+            "most": self.markers.most,
         }  # fmt: skip
         arrays: dict[str, Any] = {f"tree_{name}": array for name, array in self.transforms.rows().items()}
         with path.open("wb") as file:
             np.savez_compressed(
                 file,
                 frames=self.frames,
+                markers=self.markers.rows,
                 rows=np.array(rows, np.int64).reshape(-1, 3),
                 blob=np.frombuffer(blob, np.uint8),
                 texts=np.frombuffer(json.dumps(texts).encode(), np.uint8),
@@ -144,8 +156,9 @@ class Survey:
                     place += size
                 tree = {name.removeprefix("tree_"): file[name] for name in file.files if name.startswith("tree_")}
                 refused = {name: (count, text) for name, (count, text) in texts["refused"].items()}
+                markers = MarkerLives(file["markers"], texts["keys"], texts["most"])
                 return Survey(
-                    file["frames"], texts["frame_names"], logged, texts["meshes"], texts["largest_replacing"],
+                    file["frames"], texts["frame_names"], logged, texts["meshes"], markers, texts["largest_replacing"],
                     texts["whole"], refused, TransformTree.of_rows(tree),
                 )  # fmt: skip
         except (OSError, ValueError, KeyError, EOFError) as error:
@@ -158,8 +171,11 @@ def light_pose(content: Any) -> LightPose:
 
 
 def survey(recording: Recording, settings: Settings) -> Survey:
-    """Read a bag once. Raises BagError."""
-    return _Surveyor(recording, settings).read()
+    """Read a bag once, and of images and meshes no more than their headers where it has an index. Raises BagError."""
+    try:
+        return _Surveyor(recording, settings).read(lambda names: recording.heads(names, _HEADERS))
+    except HeadsError:  # whoever reads all of it finds out what is wrong, or that nothing is
+        return _Surveyor(recording, settings).read(recording.messages)
 
 
 class _Surveyor:
@@ -171,21 +187,21 @@ class _Surveyor:
         self._frames: list[tuple[int, int, int]] = []
         self._names: dict[str, int] = {}
         self._largest = dict.fromkeys(REPLACING, 0)
-        self._layouts = Layouts()
+        self._ledger = MarkerLedger(settings.max_triangles)
         self._wandering = self._unstamped = False  # parts that stay where a moving frame was
         self._static: dict[str, bytes] = {}
         self._static_changes = False
 
-    def read(self) -> Survey:
+    def read(self, messages: Callable[[Iterable[str]], Iterable[Message]]) -> Survey:
         lights = [f"light {light.name}" for light in self._settings.lights]
         made = self._made
-        for message in self._recording.messages(("depth", *BACKGROUND, *MESHES, *lights)):
+        for message in messages(("depth", *BACKGROUND, *MESHES, *lights)):
             try:
                 if message.name == "depth":
                     stamp, frame = header_of(message.data)
                     self._frames.append((message.time, stamp, self._names.setdefault(frame, len(self._names))))
                 elif message.name in MESHES:
-                    self._mesh(message.name, message.time, message.data)
+                    self._mesh(message.name, message)
                 else:
                     self._small(message)
             except MessageError as error:
@@ -193,6 +209,7 @@ class _Surveyor:
                     self._reader.found.refuse(message.name, error)
         made.frames = np.array(self._frames, np.int64).reshape(-1, 3)
         made.frame_names = list(self._names)
+        made.markers = self._ledger.finish()
         made.largest_replacing = sum(self._largest.values()) // _LEAST
         background = self._reader.finish()
         made.transforms = background.tree
@@ -214,21 +231,16 @@ class _Surveyor:
         if name != "tf":
             self._made.logged.setdefault(name, []).append((message.time, message.data))
 
-    def _mesh(self, name: str, time: int, data: bytes) -> None:
-        self._made.meshes.setdefault(name, []).append(time)
+    def _mesh(self, name: str, message: Message) -> None:
+        self._made.meshes.setdefault(name, []).append(message.time)
         if name in REPLACING:
-            self._largest[name] = max(self._largest[name], len(data))
+            self._largest[name] = max(self._largest[name], message.size)
         if name in ("mesh_cloud", "grid_map"):
-            self._stays(*header_of(data)[::-1])
+            self._stays(*header_of(message.data)[::-1])
         elif name != "mesh":
-            try:
-                one = name == "mesh_marker"
-                most = self._settings.max_triangles
-                for each in [self._layouts.marker(data, most)] if one else self._layouts.markers(data, most):
-                    if not each.frame_locked:
-                        self._stays(each.frame, each.stamp)
-            except PartError:  # counted when it is played
-                return
+            for each in self._ledger.take(name, message.data, message.time):
+                if not each.frame_locked:
+                    self._stays(each.frame, each.stamp)
 
     def _stays(self, frame: str, stamp: int) -> None:
         if (frame.lstrip("/") or self._settings.mesh_frame) not in ("", self._settings.fixed_frame):

@@ -65,6 +65,11 @@ class Types:
             return partial(_guarded, kind, _plain if self.is2 else partial(USUAL.ros1_to_cdr, typename=usual))
         return partial(_guarded, kind, partial(self._migrate, kind, usual)) if self._fits(kind, usual) else None
 
+    def is_plain(self, kind: str) -> bool:
+        """Whether bytes of a type are those of Jazzy's type as they are, so that some of them can be read alone."""
+        usual = usual_name(kind)
+        return self.is2 and kind in self.store.fielddefs and usual in USUAL.fielddefs and self._same(kind, usual)
+
     def copier(self, kind: str) -> tuple[Convert, Any]:
         """How bytes of any type become those of a new bag, and the types that define them there."""
         if self.is2:

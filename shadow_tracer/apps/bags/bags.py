@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import glob
-import importlib.util
 import os
 import sys
 from collections.abc import Sequence
@@ -14,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from shadow_tracer.apps.bag.bag import add_parameters, add_wishes, missing, wishes
 from shadow_tracer.apps.bag.names import Names, parameters_of
+from shadow_tracer.apps.fleet.engines import add_options, is_here
 
 if TYPE_CHECKING:
     from shadow_tracer.apps.bags.plan import Plan
-    from shadow_tracer.apps.bags.run import Engine, Log
+    from shadow_tracer.apps.bags.run import Log
+    from shadow_tracer.apps.fleet.engines import Engine
 
 ARRAYS = ("SLURM_ARRAY_TASK", "AWS_BATCH_JOB_ARRAY", "JOB_COMPLETION")
 _STEPS = ("plan", "run", "status", "commit")
@@ -108,13 +109,13 @@ def planned(chosen: argparse.Namespace, bags: Sequence[Path], log: Log, one: boo
     from shadow_tracer.ros.parameters.former_names import renamed
 
     names = Names(chosen.node, chosen.remap)
-    settings, warnings = load_settings(names, chosen.params_file, chosen.param)
+    settings, _, warnings = load_settings(names, chosen.params_file, chosen.param, chosen.camera)
     values, _ = renamed(parameters_of(names.node, chosen.params_file, chosen.param))
     for warning in warnings:
         log.say("warning", f"warning: {warning}")
     if chosen.threads < 1:
         raise ValueError(f"--threads: expected at least 1, got {chosen.threads}")
-    options = Options(chosen.node, list(chosen.remap), values, wishes(chosen), chosen.threads)
+    options = Options(chosen.node, list(chosen.remap), values, chosen.camera, wishes(chosen), chosen.threads)
     cut, out = _cut(chosen), chosen.output
     if (out / HIDDEN).is_dir():
         with only_one(out / HIDDEN / LOCK):
@@ -140,45 +141,28 @@ def planned(chosen: argparse.Namespace, bags: Sequence[Path], log: Log, one: boo
     return plan
 
 
-def engine_of(chosen: argparse.Namespace, plan: Plan) -> Engine:
+def _engine(chosen: argparse.Namespace, plan: Plan) -> Engine:
     """Who does the work. Raises ValueError, ImportError."""
-    from shadow_tracer.apps.bags.run import local
-
-    if chosen.jobs is not None and chosen.jobs < 1:
-        raise ValueError(f"--jobs: expected at least 1, got {chosen.jobs}")
-    if chosen.retries < 0:
-        raise ValueError(f"--retries: expected at least 0, got {chosen.retries}")
-    cores = len(os.sched_getaffinity(0))
-    workers = chosen.jobs or max(1, cores // plan.options.threads)
-    if chosen.engine == "local":
-        if chosen.scheduler or chosen.scheduler_file:
-            raise ValueError("--scheduler: expected with --engine dask")
-        return local(workers, chosen.retries)
-    if chosen.scheduler and chosen.scheduler_file:
-        raise ValueError("--scheduler: expected without --scheduler-file")
-    if importlib.util.find_spec("distributed") is None:
-        raise ImportError("--engine dask needs distributed: pip install 'shadow_tracer[fleet]'")
     from shadow_tracer.apps.bags.folder import report_of
     from shadow_tracer.apps.bags.jobs import play
     from shadow_tracer.apps.bags.run import good
-    from shadow_tracer.apps.fleet.cluster import run_dask
+    from shadow_tracer.apps.fleet.engines import engine_of
 
-    where = chosen.scheduler or os.environ.get("DASK_SCHEDULER_ADDRESS", "")
-    return lambda jobs, done: run_dask(
-        play, jobs, where, chosen.scheduler_file, workers, chosen.retries, good, report_of, done
-    )
+    workers = chosen.jobs or max(1, len(os.sched_getaffinity(0)) // plan.options.threads)
+    return engine_of(chosen, workers, play, good, report_of)
 
 
-def _warm(plan: Plan) -> None:
+def _warm(plan: Plan, log: Log) -> None:
     """Compile the kernels once, before many workers would, into the cache that they share."""
     from shadow_tracer.apps.bags.jobs import warm_up
 
     if any(entry.windows for entry in plan.entries):
-        warm_up(plan.options)
+        reserved = warm_up(plan.options)
+        log.say("worker", f"each worker reserves {reserved / 1e6:.0f} MB, and more for meshes", bytes=reserved)
 
 
 def everything(chosen: argparse.Namespace, bags: Sequence[Path], one: bool = False) -> int:
-    """Plan, run and commit. Returns the exit code; raises as :func:`planned` and :func:`engine_of`."""
+    """Plan, run and commit. Returns the exit code; raises as :func:`planned`, and ImportError."""
     from shadow_tracer.apps.bags.run import Log, finish, run
 
     log = Log(chosen.log_json)
@@ -188,16 +172,16 @@ def everything(chosen: argparse.Namespace, bags: Sequence[Path], one: bool = Fal
             if entry.error:
                 log.say("bag_failed", f"failed: {entry.bag}: {entry.error}", bag=entry.bag, error=entry.error)
         return 1
-    engine = engine_of(chosen, plan)
-    if chosen.engine == "local":
-        _warm(plan)
-    return finish(plan, run(plan, engine, log, chosen.keep_going), log, chosen.strict)
+    engine = _engine(chosen, plan)
+    if is_here(chosen):
+        _warm(plan, log)
+    return finish(plan, run(plan, engine, log, chosen.keep_going), log, chosen.strict, one)
 
 
 def _step(step: str, chosen: argparse.Namespace) -> int:
     from shadow_tracer.apps.bags.folder import PLAN
     from shadow_tracer.apps.bags.plan import Plan
-    from shadow_tracer.apps.bags.run import Log, Outcome, finish, run, states
+    from shadow_tracer.apps.bags.run import Log, Outcome, Watch, finish, follow, run
 
     log = Log(chosen.log_json)
     if step == "plan":
@@ -210,12 +194,12 @@ def _step(step: str, chosen: argparse.Namespace) -> int:
     if step == "commit":
         return finish(plan, Outcome({}), log, chosen.strict)
     if step == "run":
-        outcome = run(plan, engine_of(chosen, plan), log, chosen.keep_going, _shard(chosen.shard))
+        outcome = run(plan, _engine(chosen, plan), log, chosen.keep_going, _shard(chosen.shard))
         for bag, error in outcome.failed.items():
             log.say("bag_failed", f"failed: {bag}: {error}", bag=bag, error=error)
         return 1 if outcome.failed else 0
     left = faulty = 0
-    for entry, frames, windows, whole in states(plan):
+    for entry, frames, windows, whole in (follow(plan, log) if chosen.follow else Watch(plan)).states():
         state = "failed" if entry.error else "written" if whole else f"{windows} of {len(entry.windows)} windows"
         print(f"{entry.name}: {frames} of {entry.frames} frames, {state}{f': {entry.error}' if entry.error else ''}")
         faulty += bool(entry.error)
@@ -225,11 +209,8 @@ def _step(step: str, chosen: argparse.Namespace) -> int:
 
 def add_engine(parser: argparse.ArgumentParser) -> None:
     """Options of who does the work."""
-    parser.add_argument("--engine", choices=("local", "dask"), default="local", help="default: %(default)s")
     parser.add_argument("--jobs", type=int, metavar="N", help="processes; default: cores by --threads")
-    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="of Dask, such as tcp://host:8786")
-    parser.add_argument("--scheduler-file", default="", metavar="FILE", help="that Dask's scheduler wrote")
-    parser.add_argument("--retries", type=int, default=2, metavar="N", help="of a window (default: %(default)s)")
+    add_options(parser)
     parser.add_argument("--keep-going", action="store_true", help="do the other bags if one fails")
 
 
@@ -260,6 +241,8 @@ def _options(step: str) -> argparse.ArgumentParser:
         add_engine(parser)
     if step == "run":
         parser.add_argument("--shard", default="", metavar="N/COUNT", help="default: from a job array; else everything")
+    if step == "status":
+        parser.add_argument("--follow", action="store_true", help="show a bar until all windows are there")
     if step in ("", "commit"):
         parser.add_argument("--strict", action="store_true", help="a bag fails if nothing is known of any one image")
     parser.add_argument("--log-json", action="store_true", help="events as JSON, one a line")

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from shadow_tracer import ShadowTracer
+from shadow_tracer.apps.bag.bag import of_camera
 from shadow_tracer.apps.bag.files import BagError
 from shadow_tracer.apps.bag.names import Names
 from shadow_tracer.apps.bag.player import Player, Result, Wish
@@ -35,6 +36,7 @@ class Options:
         node: full name of the node, for topics.
         remaps: ``from:=to``.
         parameters: the node's, by full name.
+        camera: whose images, "" where there is one without a name.
         wish: what is written beside masks, by the names of :class:`Wish`.
         threads: cores that one worker keeps busy.
     """
@@ -42,13 +44,23 @@ class Options:
     node: str
     remaps: list[str]
     parameters: dict[str, Any]
+    camera: str
     wish: dict[str, bool]
     threads: int
 
     @property
     def settings(self) -> Settings:
-        """The node's settings."""
-        return settings_from(self.parameters)
+        """The settings of the camera."""
+        return self._made[0]
+
+    @property
+    def names(self) -> Names:
+        """The names of the camera."""
+        return self._made[1]
+
+    @property
+    def _made(self) -> tuple[Settings, Names]:
+        return of_camera(settings_from(self.parameters), Names(self.node, self.remaps), self.camera)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,8 +155,7 @@ def play(job: Job) -> Report:
 
 
 def _play(job: Job) -> Report:
-    options, settings = job.options, job.options.settings
-    names = Names(options.node, options.remaps)
+    options, settings, names = job.options, job.options.settings, job.options.names
     lights = [light.name for light in settings.lights if light.type != "sun"]
     survey = _surveys.get(job.survey)
     tracer = _tracers.get(options)
@@ -190,10 +201,12 @@ def _report(key: str, result: Result, output: Output, tracer: ShadowTracer) -> R
     )
 
 
-def warm_up(options: Options) -> None:
-    """Make the kernels that these options need, which the cache keeps for other processes. Raises as ShadowTracer."""
-    _tracers.get(options)
+def warm_up(options: Options) -> int:
+    """Make the kernels that these options need, which the cache keeps for other processes. Returns how many bytes a
+    tracer with them reserves. Raises as ShadowTracer."""
+    reserved = _tracers.get(options).device_bytes
     _tracers.forget()
+    return reserved
 
 
 class _Surveys:

@@ -18,7 +18,6 @@ import numpy as np
 
 from shadow_tracer import __version__
 from shadow_tracer.apps.bag.files import BagError
-from shadow_tracer.apps.bag.names import Names
 from shadow_tracer.apps.bag.reader import Recording
 from shadow_tracer.apps.bag.survey import Survey, survey
 from shadow_tracer.apps.bags.jobs import Job, Options
@@ -185,8 +184,7 @@ def _same(one: Entry, other: Entry) -> bool:
 def _survey(entry: Entry, plan: Plan, cut: Cut) -> None:
     settings = plan.options.settings
     lights = [light.name for light in settings.lights if light.type != "sun"]
-    names = Names(plan.options.node, plan.options.remaps)
-    with Recording(Path(entry.bag), names, lights, settings.max_rays) as recording:
+    with Recording(Path(entry.bag), plan.options.names, lights, settings.max_rays) as recording:
         found = survey(recording, settings)
         entry.notes = [*recording.notes, *(f"warning: {text}" for text in recording.warnings)]
     entry.frames, entry.refused = len(found.frames), {name: list(pair) for name, pair in found.refused.items()}

@@ -6,24 +6,19 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from shadow_tracer.apps.bag.files import BagError
 from shadow_tracer.apps.bags.folder import LOCK, commit, committed, merged, report_of
-from shadow_tracer.apps.bags.jobs import Job, Report, play
+from shadow_tracer.apps.bags.jobs import Job, Report
 from shadow_tracer.apps.bags.plan import HIDDEN, Entry, Plan
+from shadow_tracer.apps.fleet.engines import Engine
 from shadow_tracer.apps.fleet.files import only_one
-from shadow_tracer.apps.fleet.local import run_local
 
-ALL, SOME, WRONG, UNFINISHED, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
-Engine = Callable[[Sequence[Job], Callable[[Job, Any], None]], None]
-
-
-def local(workers: int, retries: int) -> Engine:
-    """Processes of this machine."""
-    return lambda jobs, done: run_local(play, jobs, workers, retries, good, done)
+ALL, SOME, UNFINISHED, UNKNOWN = 0, 1, 3, 3  # exit codes; the last one is that of the program for one bag
 
 
 def good(report: Report) -> bool:
@@ -111,9 +106,9 @@ class _Stop(Exception):
 
 def _run(jobs: list[Job], engine: Engine, log: Log, keep_going: bool) -> Outcome:
     left = [job for job in jobs if report_of(job) is None]
-    total, before = (sum(job.frames for job in some) for some in (jobs, [job for job in jobs if job not in left]))
+    total = sum(job.frames for job in jobs)
     failed: dict[str, str] = {}
-    with log.bar(total, before) as bar:
+    with log.bar(total, total - sum(job.frames for job in left)) as bar:
 
         def done(job: Job, result: Any) -> None:
             text = str(result) or type(result).__name__ if isinstance(result, BaseException) else result.error
@@ -134,19 +129,68 @@ def _run(jobs: list[Job], engine: Engine, log: Log, keep_going: bool) -> Outcome
     return Outcome(failed)
 
 
-def states(plan: Plan) -> Iterator[tuple[Entry, int, int, bool]]:
-    """Of each bag the frames that are done, the windows that are done, and whether it is committed."""
-    for entry in plan.entries:
-        if not entry.error and committed(plan, entry):
-            yield entry, entry.frames, len(entry.windows), True
-            continue
-        done = [job for job in plan.jobs_of(entry) if report_of(job) is not None]
-        yield entry, sum(job.frames for job in done), len(done), False
+class Watch:
+    """How far a plan is, by its parts, whoever makes them. A part that was seen whole is not read again.
+
+    Args:
+        plan: the plan.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._jobs = [list(plan.jobs_of(entry)) for entry in plan.entries]
+        self._seen: set[str] = set()
+
+    @property
+    def frames(self) -> int:
+        """Depth images of the parts that are there."""
+        for jobs in self._jobs:
+            self._seen |= {job.part for job in jobs if job.part not in self._seen and report_of(job) is not None}
+        return sum(job.frames for jobs in self._jobs for job in jobs if job.part in self._seen)
+
+    @property
+    def done(self) -> bool:
+        """Whether all parts were there when :attr:`frames` was asked for."""
+        return all(job.part in self._seen for jobs in self._jobs for job in jobs)
+
+    def states(self) -> Iterator[tuple[Entry, int, int, bool]]:
+        """Of each bag the frames that are done, the windows that are done, and whether it is committed."""
+        for entry, jobs in zip(self._plan.entries, self._jobs, strict=True):
+            if not entry.error and committed(self._plan, entry):
+                yield entry, entry.frames, len(entry.windows), True
+                continue
+            done = [job for job in jobs if job.part in self._seen or report_of(job) is not None]
+            yield entry, sum(job.frames for job in done), len(done), False
 
 
-def finish(plan: Plan, outcome: Outcome, log: Log, strict: bool) -> int:
-    """Commit the bags of which all windows are there, and say what came of each. Returns the exit code."""
-    failed = unfinished = 0
+def follow(plan: Plan, log: Log, pause: float = 1.0) -> Watch:
+    """Show a bar, or tell of frames, until all parts are there, whoever makes them; ``pause``: between looks [s]."""
+    watch = Watch(plan)
+    total, before = sum(entry.frames for entry in plan.entries), watch.frames
+    with log.bar(total, before) as bar:
+        log.say("progress", "", frames=before, total=total)
+        while not watch.done:
+            time.sleep(pause)
+            if (now := watch.frames) != before:
+                bar.advance(now - before)
+                log.say("progress", "", frames=now, total=total)
+                before = now
+    return watch
+
+
+def finish(plan: Plan, outcome: Outcome, log: Log, strict: bool, one: bool = False) -> int:
+    """Commit the bags of which all windows are there, and say what came of each.
+
+    Args:
+        plan, outcome: what was to be done, and what came of it.
+        log: where events are written.
+        strict: something is wrong with a bag if nothing is known of any one image, or query.
+        one: the program is the one for a single bag, which has an exit code for what is not known.
+
+    Returns:
+        The exit code.
+    """
+    failed = unfinished = unknown = 0
     for entry in plan.entries:
         error = entry.error or outcome.failed.get(entry.bag, "")
         if error:
@@ -164,11 +208,14 @@ def finish(plan: Plan, outcome: Outcome, log: Log, strict: bool) -> int:
             log.say("bag_failed", f"failed: {entry.bag}: {fault}", bag=entry.bag, error=str(fault))
             continue
         _tell(plan, entry, total, log)
-        if strict and (total.incomplete or not total.traced):
-            failed += 1
-            text = f"failed: {entry.bag}: nothing is known of {total.frames - total.traced} frames (--strict)"
-            log.say("bag_failed", text, bag=entry.bag, error="unknown")
-    return SOME if failed else UNFINISHED if unfinished else ALL
+        if (strict and (total.incomplete or not total.traced)) or (one and not total.traced):
+            unknown += 1
+            text = f"nothing is known of {total.frames - total.traced} of {total.frames} frames"
+            text += ", or of queries (--strict)" if strict else ""
+            log.say("bag_unknown", f"{'' if one else 'failed: '}{entry.bag}: {text}", bag=entry.bag, error=text)
+    if failed or (unknown and not one):
+        return SOME
+    return UNFINISHED if unfinished else UNKNOWN if unknown else ALL
 
 
 def _tell(plan: Plan, entry: Entry, total: Report, log: Log) -> None:

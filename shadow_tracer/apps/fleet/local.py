@@ -9,9 +9,10 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 J = TypeVar("J")
@@ -37,13 +38,8 @@ def run_local(
         done: called once for each job with its last result, or with what was raised.
     """
     run = _Run(jobs, workers, retries, good, done)
-    try:
-        while run.left:
-            run.round(work)
-    except BaseException:
-        for child in multiprocessing.active_children():
-            child.terminate()
-        raise
+    while run.left:
+        run.round(work)
 
 
 class _Run:
@@ -71,7 +67,7 @@ class _Run:
         spawn = multiprocessing.get_context("spawn")
         pool = ProcessPoolExecutor(workers, mp_context=spawn, initializer=_begin, initargs=(os.getpid(),))
         open_ones: dict[Future[Any], tuple[Any, int]] = {}
-        with pool:
+        with pool, _ended_at_once():
             while queue or open_ones:
                 try:
                     while queue and len(open_ones) < workers:
@@ -103,6 +99,17 @@ class _Run:
             self._done(job, result)
         else:
             self._waiting.append((job, tries + 1))
+
+
+@contextmanager
+def _ended_at_once() -> Iterator[None]:
+    """Whoever is interrupted does not wait for what is in the works: it is whole or not there."""
+    try:
+        yield
+    except BaseException:
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
 
 
 def _begin(parent: int) -> None:

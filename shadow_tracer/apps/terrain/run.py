@@ -1,33 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All tiles of a plan, by one process or several, each tile into a file: a run that was interrupted goes on where it
-was."""
+"""All tiles of a plan, by this process or an engine of :mod:`fleet`, each tile into a file: a run that was interrupted
+goes on where it was."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
 import json
-import multiprocessing
-import os
+import pickle
 import shutil
+import threading
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from shadow_tracer import ShadowTracer, __version__
+from shadow_tracer.apps.fleet.engines import Engine
+from shadow_tracer.apps.fleet.files import whole
 from shadow_tracer.apps.terrain.georeference import TerrainError
 from shadow_tracer.apps.terrain.reading import Source
-from shadow_tracer.apps.terrain.writing import whole
 from shadow_tracer.terrain.plan import Plan, Window
 from shadow_tracer.terrain.tile import TileResult, solve, tracer_for
 
 _FORMAT = 1  # of the files of tiles
+LOCK = "lock"
+_SHARED = "shared.pickle"  # no more to be trusted than the folder is
 
 
 class Parts:
@@ -43,19 +44,20 @@ class Parts:
     """
 
     def __init__(self, folder: Path, key: str, restart: bool) -> None:
-        self._folder = folder
+        self._folder = folder = folder.absolute()
         mark, ours = folder / "run.json", json.dumps({"key": key, "version": __version__}).encode()
         known = mark.is_file() and mark.read_bytes() == ours
         if known and not restart:
             return
-        if folder.exists():
-            # A run that was interrupted before there was a mark has left nothing else.
-            if not restart and any(path.suffix != ".part" for path in folder.iterdir()):
-                raise TerrainError(
-                    f"{folder}: holds tiles of a run with other options, or of another file; --restart throws them away"
-                )
-            shutil.rmtree(folder)
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        there = [path for path in folder.iterdir() if path.name != LOCK]
+        # A run that was interrupted before there was a mark has left nothing else.
+        if not restart and any(path.suffix != ".part" for path in there):
+            raise TerrainError(
+                f"{folder}: holds tiles of a run with other options, or of another file; --restart throws them away"
+            )
+        for path in there:
+            path.unlink()
         with whole(mark) as new:
             new.write_bytes(ours)
 
@@ -70,6 +72,17 @@ class Parts:
                 return TileResult(*(file[each.name] for each in dataclasses.fields(TileResult)))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             return None
+
+    def share(self, shared: Shared) -> str:
+        """Write down what all tiles have in common; returns the file."""
+        file = self._folder / _SHARED
+        with whole(file) as new:
+            new.write_bytes(pickle.dumps(shared))
+        return str(file)
+
+    def known(self, job: Job) -> bool | None:
+        """Whether the tile of a job is done; None if not, as engines ask for it."""
+        return True if self.load(job.number) is not None else None
 
     def remove(self) -> None:
         """All of it."""
@@ -98,43 +111,88 @@ def key_of(plan: Plan, path: Path, *options: Any) -> str:
     return digest.hexdigest()
 
 
-@dataclasses.dataclass
-class _Worker:
-    """What a process keeps from tile to tile."""
+@dataclasses.dataclass(frozen=True)
+class Shared:
+    """What all tiles of a run have in common.
+
+    Attributes:
+        plan, source: what is asked.
+        device: as for ShadowTracer.
+        threads: cores that a tracer keeps busy; None is all of the process.
+    """
 
     plan: Plan
     source: Source
     device: str | None
     threads: int | None
-    tracer: ShadowTracer | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A tile, in words that can be sent anywhere: all else is in a file that all machines see.
+
+    Attributes:
+        shared: file of :class:`Shared`.
+        number: of the tile.
+        part: file to be written.
+    """
+
+    shared: str
+    number: int
+    part: str
+
+
+class _Worker:
+    """What a process keeps from tile to tile."""
+
+    def __init__(self, shared: Shared) -> None:
+        self._shared = shared
+        self._tracer: ShadowTracer | None = None
 
     def do(self, number: int, path: Path) -> None:
-        if self.tracer is None:
-            self.tracer = tracer_for(*self.plan.largest, device=self.device, threads=self.threads)
-        save(path, solve(self.plan.tile(number, self.source.read), self.tracer))
+        shared = self._shared
+        if self._tracer is None:
+            self._tracer = tracer_for(*shared.plan.largest, device=shared.device, threads=shared.threads)
+        save(path, solve(shared.plan.tile(number, shared.source.read), self._tracer))
 
 
-_worker: _Worker | None = None
+def answer(job: Job) -> bool:
+    """Do a tile: its file is whole or not there, and the same whoever does it. What is in common stays for the next job
+    of this process. Raises TerrainError, OSError."""
+    with _turn:
+        _workers.get(job.shared).do(job.number, Path(job.part))
+    return True
 
 
-def _begin(worker: _Worker) -> None:
-    global _worker
-    _worker = worker
+class _Workers:
+    """What was kept for the last job; mostly the next one is of the same run."""
+
+    def __init__(self) -> None:
+        self._known: tuple[object, _Worker] | None = None
+
+    def get(self, path: str) -> _Worker:
+        try:
+            state = Path(path).stat()
+            name = path, state.st_mtime_ns, state.st_size
+            if self._known is None or self._known[0] != name:
+                self._known = None  # its memory goes first
+                self._known = name, _Worker(pickle.loads(Path(path).read_bytes()))
+        except (OSError, pickle.UnpicklingError, EOFError) as error:
+            raise TerrainError(f"{path}: cannot be read: {error}; run it again") from error
+        return self._known[1]
 
 
-def _work(number: int, path: Path) -> None:
-    assert _worker is not None
-    _worker.do(number, path)
+_turn = threading.Lock()  # threads of one worker take turns
+_workers = _Workers()
 
 
-def run(plan: Plan, source: Source, parts: Parts, jobs: int, device: str | None, done: Callable[[int], None]) -> int:
+def run(shared: Shared, parts: Parts, engine: Engine | None, done: Callable[[int], None]) -> int:
     """Do all tiles that are not done yet.
 
     Args:
-        plan, source: what is asked.
+        shared: what is asked.
         parts: where results go.
-        jobs: processes.
-        device: as for ShadowTracer.
+        engine: who does them, calling :func:`answer`; None is this process.
         done: called with how many tiles more are done.
 
     Returns:
@@ -142,31 +200,27 @@ def run(plan: Plan, source: Source, parts: Parts, jobs: int, device: str | None,
 
     Raises:
         TerrainError: heights cannot be read.
+        RuntimeError, OSError: workers die, or cannot be reached.
     """
+    plan = shared.plan
     left = [number for number in range(len(plan.tiles)) if parts.load(number) is None]
     before = len(plan.tiles) - len(left)
     done(before)
-    if jobs == 1 or len(left) < 2:
-        worker = _Worker(plan, source, device, None)
+    if engine is None:
+        worker = _Worker(shared)
         for number in left:
             worker.do(number, parts.path(number))
             done(1)
         return before
-    worker = _Worker(plan, source, device, max(1, len(os.sched_getaffinity(0)) // jobs))
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(left)), mp_context=spawn, initializer=_begin, initargs=(worker,))
-    # Few are handed over at a time, so that an interrupted run ends soon, however often Ctrl-C comes.
-    ahead = iter(left)
-    try:
-        open_ones = {pool.submit(_work, number, parts.path(number)) for number in islice(ahead, 2 * jobs)}
-        while open_ones:
-            finished, open_ones = wait(open_ones, return_when=FIRST_COMPLETED)
-            for each in finished:
-                each.result()
-                done(1)
-            open_ones |= {pool.submit(_work, each, parts.path(each)) for each in islice(ahead, len(finished))}
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+
+    def took(_: Job, result: bool | BaseException) -> None:
+        if isinstance(result, BaseException):
+            raise result
+        done(1)
+
+    if left:
+        where = parts.share(shared)
+        engine([Job(where, number, str(parts.path(number))) for number in left], took)
     return before
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import math
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -13,6 +14,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from shadow_tracer.apps.fleet.engines import add_options as add_engine
+from shadow_tracer.apps.fleet.engines import check_options as check_engine
+from shadow_tracer.apps.fleet.files import Busy, only_one
 from shadow_tracer.apps.terrain.days import day_of, irradiance_of, seconds_of, times_of, zone_of
 from shadow_tracer.apps.terrain.georeference import Georeference, TerrainError, locate
 from shadow_tracer.apps.terrain.reading import NO_ZARR, Model, open_model
@@ -21,7 +25,9 @@ from shadow_tracer.terrain.sunlight import BEYOND, check_options
 from shadow_tracer.terrain.suns import SOLAR_CONSTANT, suns
 
 if TYPE_CHECKING:
+    from shadow_tracer.apps.fleet.engines import Engine
     from shadow_tracer.apps.terrain.pictures import Pictures
+    from shadow_tracer.apps.terrain.run import Parts
     from shadow_tracer.apps.terrain.writing import NetCdfOutput, TiffOutput, ZarrOutput
 
 _TIFF = ".tif", ".tiff"
@@ -38,7 +44,7 @@ cell that this would hide is unknown, and counts as not lit."""
 _EXIT_CODES = """exit code:
   0  the files were written
   1  they were not, for the reason given
-  2  a wrong option, or a package that is missing
+  2  a package that is missing, or another run is at work on the same output
   130  interrupted; the same command goes on where it was"""
 
 _EXAMPLE = """\
@@ -60,8 +66,7 @@ def perform(chosen: argparse.Namespace) -> int:
         ValueError: an option is bad.
         ImportError, RuntimeError: the tracer cannot be made.
     """
-    from shadow_tracer.apps.terrain.run import Parts, key_of, results, run
-    from shadow_tracer.apps.terrain.writing import whole
+    from shadow_tracer.apps.terrain.run import LOCK, Parts, Shared, key_of, run
 
     start = time.monotonic()
     stamps = _times(chosen)
@@ -69,7 +74,11 @@ def perform(chosen: argparse.Namespace) -> int:
     memory = chosen.memory * 1e9
     check_options(chosen.height_above, chosen.beyond, chosen.tile, memory)
     _check_outputs(chosen, len(stamps))
-    model = open_model(chosen.dem, chosen.band, chosen.variable, chosen.resolution, chosen.nodata)
+    check_engine(chosen)
+    if chosen.threads is not None and chosen.threads < 1:
+        raise ValueError(f"--threads: expected at least 1, got {chosen.threads}")
+    # Whoever does the tiles may stand in another folder.
+    model = open_model(chosen.dem.absolute(), chosen.band, chosen.variable, chosen.resolution, chosen.nodata)
     given = _given(chosen)
     where = locate(chosen.dem.name, model.shape, model.transform, model.crs, given, chosen.curvature)
     sky = suns(stamps, where.place, seconds_of(chosen.every), irradiance)
@@ -82,10 +91,39 @@ def perform(chosen: argparse.Namespace) -> int:
         print(f"warning: {line}", file=sys.stderr)
     options = (chosen.band, chosen.variable, chosen.resolution, chosen.nodata)
     folder = chosen.output.with_name(chosen.output.name + ".parts")
-    parts = Parts(folder, key_of(plan, chosen.dem, *options), chosen.restart)
-    before = _with_progress(
-        len(plan.tiles), lambda done: run(plan, model.source, parts, chosen.jobs, chosen.device, done)
-    )
+    with only_one(folder / LOCK):
+        parts = Parts(folder, key_of(plan, chosen.dem, *options), chosen.restart)
+        shared = Shared(plan, model.source, chosen.device, _threads(chosen))
+        engine = _engine(chosen, parts)
+        before = _with_progress(len(plan.tiles), lambda done: run(shared, parts, engine, done))
+        _write(chosen, plan, where, model, parts)
+        parts.remove()
+    _summarise(chosen, plan, where, before, time.monotonic() - start)
+    return 0
+
+
+def _engine(chosen: argparse.Namespace, parts: Parts) -> Engine | None:
+    """Who does the tiles; None is this process."""
+    from shadow_tracer.apps.fleet.engines import engine_of
+    from shadow_tracer.apps.terrain.run import answer
+
+    if chosen.engine == "local" and chosen.jobs == 1:
+        return None
+    return engine_of(chosen, chosen.jobs, answer, bool, parts.known)
+
+
+def _threads(chosen: argparse.Namespace) -> int | None:
+    """Cores that each worker keeps busy; None is all of them."""
+    if chosen.threads is not None or chosen.engine == "dask":
+        return chosen.threads or 1
+    return None if chosen.jobs == 1 else max(1, len(os.sched_getaffinity(0)) // chosen.jobs)
+
+
+def _write(chosen: argparse.Namespace, plan: Plan, where: Georeference, model: Model, parts: Parts) -> None:
+    """Make the files of all tiles."""
+    from shadow_tracer.apps.terrain.run import results
+    from shadow_tracer.apps.terrain.writing import whole
+
     with ExitStack() as stack:
         # All files get their names at the end: none is in the way of the same command if this is interrupted.
         paths = {name: getattr(chosen, name) for name in _OUTPUTS}
@@ -99,9 +137,6 @@ def perform(chosen: argparse.Namespace) -> int:
             pictures.png(new["png"])
         if pictures and chosen.gif:
             pictures.gif(new["gif"])
-    parts.remove()
-    _summarise(chosen, plan, where, before, time.monotonic() - start)
-    return 0
 
 
 def _times(chosen: argparse.Namespace) -> list[int]:
@@ -122,8 +157,6 @@ def _check_outputs(chosen: argparse.Namespace, times: int) -> None:
 
     if chosen.gif and times > MOST_TIMES:
         raise ValueError(f"--gif: expected at most {MOST_TIMES} times, got {times}")
-    if chosen.jobs < 1:
-        raise ValueError(f"--jobs: expected at least 1, got {chosen.jobs}")
     if chosen.output.suffix not in (*_TIFF, ".nc", ".zarr"):
         raise ValueError(f"-o: expected *.tif, *.nc or *.zarr, got {chosen.output}")
     if chosen.output.suffix == ".zarr" and importlib.util.find_spec("zarr") is None:
@@ -242,7 +275,10 @@ def _options() -> argparse.ArgumentParser:
     add("--nodata", type=float, metavar="Z", help="the height in a .npy that says that there is none")
     add("--latitude", type=float, metavar="DEG", help="of the centre, where the file does not say it")
     add("--longitude", type=float, metavar="DEG", help="of the centre, east positive")
-    add("--jobs", type=int, default=1, metavar="N", help="processes (default: 1)")
+    add("--jobs", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
+    share = "cores that each keeps busy (default: by --jobs; with --engine dask 1)"
+    add("--threads", type=int, metavar="N", help=share)
+    add_engine(parser)
     add("--tile", type=int, default=1024, metavar="CELLS", help="along an edge of a tile (default: %(default)s)")
     add("--memory", type=float, default=2.0, metavar="GB", help="for a tile, in each process (default: %(default)g)")
     add("--device", help="cpu or cuda:N (default: the first CUDA device, or the CPU)")
@@ -262,9 +298,9 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("terrain: interrupted; the same command goes on where it was", file=sys.stderr)
         return 130
-    except (TerrainError, ValueError, RuntimeError, ImportError, OSError) as error:
+    except (Busy, TerrainError, ValueError, RuntimeError, ImportError, OSError) as error:
         print(f"terrain: {error}", file=sys.stderr)
-        return 1
+        return 2 if isinstance(error, (Busy, ImportError)) else 1
 
 
 if __name__ == "__main__":

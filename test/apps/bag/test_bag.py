@@ -515,7 +515,11 @@ def shorten(folder: Path) -> None:
         ("no info", [], "no sensor_msgs/msg/CameraInfo on /depth/camera_info; it has no such topic"),
         ("wrong type", [], "/mesh: expected shape_msgs/msg/Mesh, the bag has sensor_msgs/msg/CameraInfo"),
         ("", ["--param", "bias.constant:=-1"], "bias.constant: expected"),
-        ("", ["--param", "camera_names:=[front]"], "camera_names: a bag is read for one camera at a time, got [front]"),
+        (
+            "",
+            ["--param", "camera_names:=[front]"],
+            "--camera: expected one of front, cameras of the parameters, got ''",
+        ),
         ("", ["--param", "bias.constant"], "--param: expected name:=value, got 'bias.constant'"),
         ("", ["--param", "light_names:=[lamp"], "--param light_names: not YAML"),
         ("", ["--params-file", "none.yaml"], "--params-file: none.yaml cannot be read"),

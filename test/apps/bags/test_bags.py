@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import errno
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -50,7 +51,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
         for job in jobs:
             done(job, work(job))
 
-    monkeypatch.setattr("shadow_tracer.apps.bags.run.run_local", run)
+    monkeypatch.setattr("shadow_tracer.apps.fleet.engines.run_local", run)
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
@@ -97,6 +98,29 @@ def test_one_bag_by_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert cli.main(["bag", str(bag), str(tmp_path / "other"), *OPTIONS, "--jobs", "0"]) == 2
 
 
+@pytest.mark.parametrize("jobs", [[], ["--jobs", "2"]], ids=["alone", "by two"])
+def test_what_is_not_known_has_the_exit_code_of_one_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], jobs: list[str]
+) -> None:
+    """One image of two in a frame that nobody knows; then both."""
+    in_this_process(monkeypatch)
+    for lost in (1, 2):
+        made = small(2 - lost)
+        for k in range(lost):
+            stamp = (200 + k) * SECOND
+            made.add(INFO, info(W, H, stamp, FOCAL / 4, "nowhere"))
+            made.add(DEPTH, image(np.full((H, W), 1500, np.uint16), stamp, "nowhere"))
+        bag = made.write(tmp_path / f"in{lost}")
+        for strict in ([], ["--strict"]):
+            out = tmp_path / f"out{lost}{len(strict)}"
+            expected = 3 if strict or lost == 2 else 0
+            assert cli.main(["bag", str(bag), str(out), *OPTIONS, *jobs, *strict]) == expected
+            assert (out / "metadata.yaml").exists()
+    command = ["bags", str(tmp_path / "in1"), str(tmp_path / "bags"), *OPTIONS]
+    assert cli.main(command) == 0 and cli.main([*command, "--strict"]) == 1
+    assert "failed: " in capsys.readouterr().err
+
+
 def test_a_broken_bag_is_named_and_the_others_are_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,7 +151,17 @@ def test_shards_by_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert cli.main(["bags", "commit", out]) == 3
     assert "in: 2 of 5 frames" in (cli.main(["bags", "status", out]) and capsys.readouterr().out)
     assert cli.main(["bags", "run", out, "--shard", "2/2"]) == 2
-    assert cli.main(["bags", "run", str(tmp_path / "out" / "plan.json"), "--shard", "0/2"]) == 0
+    seen: list[str] = []
+
+    def goes_on(_: float) -> None:
+        seen.append(capsys.readouterr().err)
+        assert cli.main(["bags", "run", str(tmp_path / "out" / "plan.json"), "--shard", "0/2"]) == 0
+
+    monkeypatch.setattr("shadow_tracer.apps.bags.run.time.sleep", goes_on)
+    assert cli.main(["bags", "status", out, "--follow", "--log-json"]) == 3
+    lines = "".join([*seen, capsys.readouterr().err]).splitlines()
+    told = [json.loads(line) for line in lines if line.startswith("{")]
+    assert [each["frames"] for each in told if each["event"] == "progress"] == [2, 5]
     assert cli.main(["bags", "status", out]) == 3
     assert cli.main(["bags", "commit", out]) == 0
     assert cli.main(["bags", "status", out]) == 0
@@ -247,6 +281,24 @@ def test_a_run_that_is_killed_goes_on(tmp_path: Path) -> None:
     assert subprocess.run(command, capture_output=True).returncode == 0
     assert log_of(out / "in") == log_of(uncut(bag, tmp_path / "whole.mcap", PARAMETERS))
     assert bytes_of(out / "in").items() >= there.items()
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_ends_at_once_with_130_and_goes_on(tmp_path: Path) -> None:
+    bag, out = small(40).write(tmp_path / "in"), tmp_path / "out"
+    command = [sys.executable, "-m", "shadow_tracer.apps.cli", "bags", str(bag), str(out), *OPTIONS]
+    command += ["--frames", "1", "--jobs", "2"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True, text=True)
+    end = time.monotonic() + 120
+    while not [*out.glob("in/*.mcap")] and time.monotonic() < end:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    assert "interrupted; the same command goes on" in process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert not (out / "in" / "metadata.yaml").exists()
+    assert subprocess.run(command, capture_output=True).returncode == 0
+    assert log_of(out / "in") == log_of(uncut(bag, tmp_path / "whole.mcap", PARAMETERS))
+    assert not [*out.glob("in/.*")]
 
 
 def test_a_part_of_another_job_does_not_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

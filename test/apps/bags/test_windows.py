@@ -105,7 +105,7 @@ def test_a_survey_comes_back_from_its_file(tmp_path: Path) -> None:
 
 
 def _surveyed(made: BagMaker, path: Path, parameters: dict[str, Any] | None = None) -> list[str]:
-    options = Options("/shadow_tracer", [], PARAMETERS | (parameters or {}), WISH, 1)
+    options = Options("/shadow_tracer", [], PARAMETERS | (parameters or {}), "", WISH, 1)
     (entry,) = make([made.write(path / "bag")], path / "out", options, Cut(5), None, False).entries
     assert not entry.error and len(entry.windows) == (1 if entry.notes else 2)
     return entry.notes

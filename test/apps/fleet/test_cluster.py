@@ -19,6 +19,8 @@ import pytest
 from bag_journey import DEPTH, FOCAL, INFO, SECOND, log_of
 from bag_maker import BagMaker, image, info, transform
 from bags_runs import PARAMETERS, given, marked, uncut
+from elevation_files import geotiff
+from valleys import hills
 
 pytest.importorskip("distributed")
 
@@ -45,8 +47,8 @@ def started(*command: str) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-def scheduler(port: int) -> Any:
-    return started("distributed.cli.dask_scheduler", "--host", HERE, "--port", str(port), "--no-dashboard")
+def scheduler(port: int, *more: str) -> Any:
+    return started("distributed.cli.dask_scheduler", "--host", HERE, "--port", str(port), "--no-dashboard", *more)
 
 
 def worker(port: int) -> Any:
@@ -122,3 +124,34 @@ def test_a_bag_on_a_cluster_gives_the_bytes_of_one_run(tmp_path: Path) -> None:
         command = ["bags", str(bag), str(out), "--no-timing", *given(PARAMETERS), "--frames", "1", "--engine", "dask"]
         assert cli.main([*command, "--scheduler", f"tcp://{HERE}:{port}"]) == 0
     assert log_of(out / "in") == log_of(uncut(bag, tmp_path / "whole.mcap", PARAMETERS))
+
+
+@pytest.mark.slow
+def test_terrain_on_a_cluster_that_a_file_names_gives_the_bytes_of_one_process(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio", reason="needs the extra: pip install 'shadow_tracer[terrain]'")
+    z, file, port = hills(40, 46, seed=9, height=90.0), tmp_path / "scheduler.json", free_port()
+    model = geotiff(tmp_path / "dem.tif", z.astype(np.float32), nodata=-9999.0)
+
+    def made(name: str, *more: str) -> bytes:
+        out = tmp_path / name
+        command = ["terrain", str(model), "--date", "2026-03-20", "--every", "3h", "--device", "cpu", "--tile", "16"]
+        assert cli.main([*command, "-o", str(out), *more]) == 0
+        return out.read_bytes()
+
+    with scheduler(port, "--scheduler-file", str(file)), worker(port), worker(port):
+        end = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        assert made("a.tif", "--engine", "dask", "--scheduler-file", str(file)) == made("b.tif")
+    assert not [*tmp_path.glob("*.parts")]
+
+
+@pytest.mark.slow
+def test_a_cluster_of_this_machine_is_started_where_none_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
+    found: dict[int, Any] = {}
+    jobs = [(str(tmp_path), number) for number in range(6)]
+    run_dask(marked, jobs, "", "", 2, 0, bool, lambda job: None, lambda job, result: found.setdefault(job[1], result))
+    assert found == dict.fromkeys(range(6), "done") and len([*tmp_path.iterdir()]) == 6

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import data
 import numpy as np
 import pytest
+import terrain_runs
 from elevation_files import by_hand, geotiff, tags_of
 from valleys import hills
 
@@ -15,6 +17,7 @@ for _name in ("ephem", "h5netcdf", "h5py", "matplotlib", "PIL", "rasterio", "ric
     pytest.importorskip(_name, reason="needs the extra: pip install 'shadow_tracer[terrain]'")
 
 from shadow_tracer import HeightField, Place, sunlight  # noqa: E402
+from shadow_tracer.apps.fleet.files import only_one  # noqa: E402
 from shadow_tracer.apps.terrain import pictures, run, terrain  # noqa: E402
 from shadow_tracer.apps.terrain.georeference import TerrainError  # noqa: E402
 from shadow_tracer.apps.terrain.reading import open_model  # noqa: E402
@@ -185,6 +188,50 @@ def test_an_interrupted_run_goes_on_and_gives_the_same_bytes(model, monkeypatch,
     assert terrain.main(command) == 0
     assert "9 tiles, 2 of them from the run before" in capsys.readouterr().out
     assert out.read_bytes() == whole
+
+
+def test_the_second_run_on_one_output_refuses(model, capsys) -> None:
+    with only_one(model.with_name("sun.tif.parts") / run.LOCK):
+        assert terrain.main([str(model), "-o", str(model.with_name("sun.tif")), *DAY]) == 2
+    assert "another run is at work there" in capsys.readouterr().err
+    _run(model, "sun.tif")
+
+
+def test_engines_and_what_goes_with_them(model, monkeypatch, capsys) -> None:
+    """Jobs name files alone, by their full paths: whoever does them stands somewhere else."""
+    seen = []
+
+    def here(work, jobs, workers, retries, good, done):
+        seen.append((len(jobs), workers, retries))
+        monkeypatch.chdir("/")
+        for job in jobs:
+            done(job, work(pickle.loads(pickle.dumps(job))))
+        monkeypatch.chdir(model.parent)
+
+    monkeypatch.setattr("shadow_tracer.apps.fleet.engines.run_local", here)
+    monkeypatch.chdir(model.parent)
+    command = ["dem.tif", *DAY, "--tile", "16", "-o"]
+    assert terrain.main([*command, "a.tif", "--jobs", "3", "--retries", "5"]) == 0 and seen == [(9, 3, 5)]
+    assert terrain.main([*command, "b.tif"]) == 0 and len(seen) == 1
+    assert model.with_name("a.tif").read_bytes() == model.with_name("b.tif").read_bytes()
+    for more in (["--scheduler", "tcp://h:1"], ["--retries", "-1"], ["--threads", "0"],
+                 ["--engine", "dask", "--scheduler", "tcp://h:1", "--scheduler-file", "f"]):  # fmt: skip
+        assert terrain.main([*command, "c.tif", *more]) == 1 and f"{more[-2]}: expected" in (
+            capsys.readouterr().err.replace(
+                "--scheduler: expected without --scheduler-file", "--scheduler-file: expected"
+            )
+        )
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_is_replaced(model, monkeypatch) -> None:
+    """A tile that its worker does not survive at first."""
+    mark = model.with_name("mark")
+    monkeypatch.setenv("SHADOW_TRACER_TEST_MARK", str(mark))
+    monkeypatch.setattr(run, "answer", terrain_runs.perilous)
+    out = model.with_name("sun.tif")
+    assert terrain.main([str(model), "-o", str(out), *DAY, "--tile", "16", "--jobs", "2"]) == 0
+    assert mark.exists() and out.read_bytes() == _run(model, "whole.tif", "--tile", "16").read_bytes()
 
 
 def test_a_tile_that_has_changed_on_the_disk_is_not_believed(tmp_path, model) -> None:
