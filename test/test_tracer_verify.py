@@ -129,7 +129,7 @@ def test_a_blind_pipeline_is_found_out(any_device: str, names: str, wrong: str) 
 
 def test_wrong_records_of_the_first_are_not_inherited(any_device: str) -> None:
     """The second pipeline makes triangle records of its own: damaged ones of the first show."""
-    tracer = _tracer("light_grid", any_device)
+    tracer = _tracer("mesh_bvh", any_device)
     tracer.trace(_depth(), _CAMERA, _LIGHTS[2:])
     records = probe.context(tracer).records.memory
     # Within each record: not all triangles have one, and what lies between is whatever lay there.
