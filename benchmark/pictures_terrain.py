@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A made valley through a day of spring, by ``shadow_tracer terrain``.
+"""Hours of sun in a made valley, and the shortest day over real hills, by ``shadow_tracer terrain``.
 
     python benchmark/pictures_terrain.py
 
-writes the valley as a GeoTIFF into a folder for temporary files and draws ``docs/images/terrain_hours.png`` and
-``docs/images/terrain_day.gif``.
+writes the valley as a GeoTIFF into a folder for temporary files and draws ``docs/images/terrain_hours.png``. Where
+``SHADOW_TRACER_DATA`` or ``../shared/data`` has ``dem/dem_squared.tif`` (of gazebosim/gz-common, Apache-2.0), it draws
+``docs/images/terrain_day.gif`` of that.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import rasterio
+from report import ROOT
 
 from shadow_tracer.apps.terrain import terrain
 
-_OUT = Path(__file__).resolve().parents[1] / "docs" / "images"
+_OUT = ROOT / "docs" / "images"
+_HILLS = Path(os.environ.get("SHADOW_TRACER_DATA") or ROOT.parent / "shared" / "data") / "dem" / "dem_squared.tif"
 _CELLS, _METRES = 300, 30.0
 
 
@@ -41,16 +45,20 @@ def valley() -> np.ndarray:
 def main() -> int:
     """Draw both pictures; returns the exit code of the program."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "valley.tif"
+        path, out = Path(folder) / "valley.tif", ["-o", str(Path(folder) / "sun.tif"), "--overwrite"]
         place = rasterio.Affine(_METRES, 0.0, 400_000.0, 0.0, -_METRES, 5_110_000.0)
         with rasterio.open(
             path, "w", driver="GTiff", height=_CELLS, width=_CELLS, count=1, dtype="float32", crs="EPSG:32632",
             transform=place,
         ) as file:  # fmt: skip
             file.write(valley(), 1)
-        options = ["--date", "2026-03-01", "--every", "15min", "--tz", "Europe/Zurich", "--beyond", "nothing"]
-        pictures = ["--png", str(_OUT / "terrain_hours.png"), "--gif", str(_OUT / "terrain_day.gif"), "--overwrite"]
-        return terrain.main([str(path), "-o", str(Path(folder) / "sun.tif"), *options, *pictures])
+        day = ["--every", "15min", "--beyond", "nothing", *out]
+        spring = ["--date", "2026-03-01", "--tz", "Europe/Zurich", "--png", str(_OUT / "terrain_hours.png")]
+        code = terrain.main([str(path), *spring, *day])
+        if code or not _HILLS.exists():
+            return code
+        winter = ["--date", "2026-12-21", "--tz", "America/Los_Angeles", "--gif", str(_OUT / "terrain_day.gif")]
+        return terrain.main([str(_HILLS), *winter, *day])
 
 
 if __name__ == "__main__":

@@ -383,6 +383,7 @@ def spoil_charts(tracer: ShadowTracer) -> None:
     structure.heights.zero_()
     structure.nodes.fill_(0xFFFF)
     accelerator._sweeps.bounds.fill_(-1.0e30)
+    accelerator._sweeps._turned.zero_()
 
 
 def light_frame(tracer: ShadowTracer, light: Any) -> Any:

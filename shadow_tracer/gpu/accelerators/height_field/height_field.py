@@ -36,7 +36,7 @@ it more. An empty box has a least height above its largest one.
 
 Memory: a quad costs 4.3 bytes in nodes and a position 4 bytes of height, beside 24 bytes of coordinates and, for each
 of two triangles, 12 bytes of numbers: 56 bytes a cell, and as many on the host. For a sun that is swept there are
-12.25 bytes a cell more. No records are made.
+20.25 bytes a cell more. No records are made.
 """
 
 from __future__ import annotations

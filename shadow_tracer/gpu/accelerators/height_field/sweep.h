@@ -9,18 +9,18 @@ struct WIDE(Sweeper) {
     static inline REAL smaller(REAL x, REAL y) { return x < y ? x : y; }
     static inline REAL larger(REAL x, REAL y) { return x > y ? x : y; }
     static inline float unknown() { return (float)(HUGE_VAL - HUGE_VAL); }
-    // Heights on a line, of the positions from `first` on, one each lane; not a number where there is none.
+    // Heights on a line, which lie side by side, of the positions from `first` on, one each lane; not a number where
+    // there is none.
     static inline REAL on_line(const Sweep& sweep, const float* heights, int line, int first) {
         const float* from = heights + sweep.base + (wp::int64)line * sweep.next_line;
 #if LANES == 1
-        return first >= 0 && first < sweep.across ? from[(wp::int64)first * sweep.next] : unknown();
+        return first >= 0 && first < sweep.across ? from[first] : unknown();
 #else
-        if (sweep.next == 1 && first >= 0 && first + LANES <= sweep.across)
+        if (first >= 0 && first + LANES <= sweep.across)
             return Lanes::load(from + first);
         float some[LANES];
         for (int j = 0; j < LANES; ++j)
-            some[j] =
-                first + j >= 0 && first + j < sweep.across ? from[(wp::int64)(first + j) * sweep.next] : unknown();
+            some[j] = first + j >= 0 && first + j < sweep.across ? from[first + j] : unknown();
         return Lanes::load(some);
 #endif
     }

@@ -79,6 +79,7 @@ pieces of their way are collected, up to 512, and go on together up to eight, up
 fifteen would wait for the one that goes far. Whether a sample is a position of the surface is looked up only where it
 is no further from its height than ``_PAD``: a position is within half of that.
 
+It goes over heights that lie line by line; where lines are columns, these are turned once for the surface.
 The sweep reads each height a few times and writes three numbers a cell, and the sixteenth part of one; a ray then reads
 a few heights and one or two of the numbers. It is done for the largest terrain of a scene, for suns, where there are at
 least an eighth as many samples as quads, and not where front faces are culled, as surfaces are open then, or where the
@@ -94,7 +95,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Structure, Sweep
+from shadow_tracer.gpu.accelerators.height_field.charts import BESIDE, Charts, DeviceChart, Placed, Structure, Sweep
 from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.device.workers import Workers
 from shadow_tracer.gpu.exact.light_frame import LightFrame
@@ -104,6 +105,7 @@ from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.chart import STEPS
 
 _LANES = wp.constant(16)
+_TILE = wp.constant(16)
 _BLOCK = wp.constant(8192)  # rays of a task in the wide form
 _PAD = 2.0**-6  # steps
 _WEIGHT = 2.0**22
@@ -168,8 +170,24 @@ def look(count: int, structure: Structure, asked: InPlace, device: Any) -> None:
         wp.launch(look_at_rays, dim=count, inputs=[structure, asked], device=device)
 
 
+@wp.kernel(enable_backward=False)
+def turn_heights(first: int, rows: int, columns: int, heights: wp.array(dtype=float), turned: wp.array(dtype=float)):
+    """Column by column, a tile each thread."""
+    tile = wp.tid()
+    across = (columns + _TILE - 1) // _TILE
+    row, column = tile // across * _TILE, tile % across * _TILE
+    for c in range(column, wp.min(column + _TILE, columns)):
+        for r in range(row, wp.min(row + _TILE, rows)):
+            turned[c * rows + r] = heights[first + r * columns + c]
+
+
 class Sweeps:
-    """Owns the bounds, and makes them for a sun."""
+    """Owns the bounds, and makes them for a sun.
+
+    Attributes:
+        sweep: the last one.
+        bounds: what it has found.
+    """
 
     def __init__(self, bounds: Bounds, scene: SceneBuffers) -> None:
         self._scene = scene
@@ -178,11 +196,13 @@ class Sweeps:
         self.bounds = wp.empty(3 * room + room // 8, dtype=float, device=scene.device)
         self.sweep = Sweep()
         self.sweep.number = -1
+        self._turned = wp.empty(bounds.max_triangles, dtype=float, device=scene.device)  # as many as charts have
         self._made_for: tuple[object, ...] | None = None
+        self._turned_for: tuple[object, ...] | None = None
 
     def forget(self) -> None:
         """The bounds are to be made once more, whatever is there."""
-        self._made_for = None
+        self._made_for = self._turned_for = None
 
     def make(self, charts: Charts, light: LightFrame, samples: int, cull: bool, workers: Workers) -> None:
         """Sweep the largest chart of terrain, if that is worth it for so many samples and has not been done."""
@@ -202,14 +222,31 @@ class Sweeps:
         made_for = (*largest.key, *towards)
         if self._made_for != made_for:
             self._made_for = None
-            self._launch(sweep, charts, workers)
+            if sweep.by_rows:
+                self._launch(sweep, charts.structure.heights, workers)
+            else:
+                self._turn(largest, charts)
+                turned = _sweep(number, charts.on_device[number], towards[:3], turned=True)
+                assert turned is not None
+                self._launch(turned, self._turned, workers)
             self._made_for = made_for
         self.sweep = sweep
 
-    def _launch(self, sweep: Sweep, charts: Charts, workers: Workers) -> None:
+    def _turn(self, placed: Placed, charts: Charts) -> None:
+        """Heights column by column, unless they are there."""
+        if self._turned_for == placed.key:
+            return
+        self._turned_for = None
+        rows, columns = placed.grid
+        inputs = [placed.first_height, rows, columns, charts.structure.heights, self._turned]
+        tiles = -(-rows // int(_TILE)) * -(-columns // int(_TILE))
+        wp.launch(turn_heights, dim=tiles, inputs=inputs, device=self._scene.device)
+        self._turned_for = placed.key
+
+    def _launch(self, sweep: Sweep, heights: wp.array, workers: Workers) -> None:
         drift, device = sweep.drift * (sweep.lines - 1), self._scene.device
         first, last = math.floor(min(-drift, 0.0)) - 1, math.floor(max(-drift, 0.0)) + sweep.across + 1
-        heights, count = charts.structure.heights, last - first + 1
+        count = last - first + 1
         if not forms.wide(device):
             wp.launch(sweep_bands, dim=count, inputs=[sweep, first, heights, self.bounds], device=device)
             return
@@ -225,11 +262,12 @@ class Sweeps:
 
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return int(self.bounds.capacity)
+        return int(self.bounds.capacity + self._turned.capacity)
 
 
-def _sweep(number: int, chart: DeviceChart, towards: np.ndarray) -> Sweep | None:
-    """How the sun goes over a chart; None if it goes too steeply."""
+def _sweep(number: int, chart: DeviceChart, towards: np.ndarray, turned: bool = False) -> Sweep | None:
+    """How the sun goes over a chart; None if it goes too steeply. ``turned``: over heights that begin with those of the
+    chart, line by line, whatever lines are."""
     way = [float(np.dot(np.array(row)[:3], towards)) for row in (chart.s, chart.t, chart.h)]
     by_rows = abs(way[1]) > abs(way[0])
     along, over = (way[1], way[0]) if by_rows else (way[0], way[1])
@@ -242,6 +280,8 @@ def _sweep(number: int, chart: DeviceChart, towards: np.ndarray) -> Sweep | None
     sweep.pitch = (sweep.across // 32 * 2 + 3) * 16
     sweep.next_line, sweep.next = (columns, 1) if by_rows else (1, columns)
     sweep.base = chart.first_height
+    if turned:
+        sweep.base, sweep.next_line, sweep.next = 0, sweep.across, 1
     sweep.by_rows, sweep.mirrored = int(by_rows), int(along < 0.0)
     if along < 0.0:
         sweep.base += (sweep.lines - 1) * sweep.next_line

@@ -233,6 +233,16 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "same_sun",
         [(_ROOM + "sweep.py", "made_for = (*largest.key, *towards)", "made_for = (*towards,)")],
     ),
+    "columns of the surface as it was": (
+        _KEPT,
+        "any_order",
+        [(_ROOM + "sweep.py", "if self._turned_for == placed.key:", "if self._turned_for is not None:")],
+    ),
+    "columns are kept when all is to be made once more": (
+        _KEPT,
+        "damaged",
+        [(_ROOM + "sweep.py", "self._made_for = self._turned_for = None\n", "self._made_for = None\n")],
+    ),
     "a sweep is kept when all is to be made once more": (
         _KEPT,
         "damaged",
