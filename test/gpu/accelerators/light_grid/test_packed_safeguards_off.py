@@ -13,6 +13,7 @@ _ROOT = Path(__file__).resolve().parents[4]
 _GPU = "shadow_tracer/gpu"
 _GRID = "accelerators/light_grid/"
 _BOXES, _TILES, _CANDIDATES = "test_packed_boxes.py", "test_packed_tiles.py", "test_candidates.py"
+_EXACT = "../../exact/test_blocks.py"
 _TOGETHER, _KEPT = "test_together.py", "../../samples/test_kept_rays.py"
 _BOUNDS = ("low_u", "high_u", "low_v", "high_v")
 _COVERED = "(middle[3] - reach[3] + far > plane)"
@@ -53,6 +54,11 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         _TOGETHER,
         "clusters",
         [(_GRID + "candidates.h", "bits |= (seen[f] >> lane & 1)", "bits += (!bits && (seen[f] >> lane & 1))")],
+    ),
+    "sides that float64 cannot tell": (
+        _EXACT,
+        "records and nearly_flat and point",
+        [("exact/sixteen.h", "return ~bits(sure | (permanent == none)) & Lanes8::ALL;", "return 0;")],
     ),
     "rays kept that those of further lights were written over": (
         _KEPT,
@@ -202,5 +208,5 @@ def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels
     tests, some, changes = _MUTANTS[mutant]
     failed = failing_tests(changes, f"accelerators/light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
-    if tests not in (_CANDIDATES, _TOGETHER, _KEPT):  # which only the wide form has
+    if tests not in (_CANDIDATES, _TOGETHER, _KEPT, _EXACT):  # which only the wide form has
         assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"
