@@ -158,7 +158,12 @@ class Run:
         self._process = subprocess.Popen(self._command, **QUIET)
 
     def kill(self, worker: bool) -> str:
-        """Kill the command, or one of its workers. Returns which it was."""
+        """Kill the command, or one of its workers some time after there are any. Returns which it was."""
+        end = time.monotonic() + 60.0
+        while worker and not children(self._process.pid) and self._process.poll() is None and time.monotonic() < end:
+            time.sleep(0.05)
+        if worker:
+            time.sleep(self._chance.uniform(0.0, 4.0))
         workers = children(self._process.pid) if worker else []
         victim = self._chance.choice(workers) if workers else self._process.pid
         with contextlib.suppress(ProcessLookupError):
@@ -192,11 +197,11 @@ def killed(command: list[str], out: Path, kills: int, chosen: argparse.Namespace
         for _ in range(kills):
             time.sleep(chance.uniform(0.0, chosen.longest))
             run.go_on()
-            victim = chance.choice(["the command", "a worker", *(cluster.names if cluster is not None else [])])
+            victim = chance.choice(["the command", *(cluster.names if cluster is not None else ["a worker"])])
             if cluster is not None and victim in cluster.names:
                 cluster.kill(victim)
             else:
-                victim = run.kill(victim == "a worker" and cluster is None)
+                victim = run.kill(victim == "a worker")
             victims[victim] += 1
             print(f"killed {victim}: {len([*out.glob('*/*.mcap')])} parts", flush=True)
         run.finish()
