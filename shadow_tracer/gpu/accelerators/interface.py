@@ -112,7 +112,8 @@ class Traits:
         queries: what it can be asked (``visibility/queries.py``).
         bundle_costs: of bundles of rays, from a sample to all points of a light, for each node and each triangle, and
             for each triangle and point [ns, on one core of a Xeon of 2023]. As for ``ray_costs`` their ratios matter.
-        ray_costs: of hard lights, for each ray, and for each triangle of the scene [ns].
+        ray_costs: of hard lights, for each ray, for each triangle of the scene, and for each ray more where samples are
+            a list and no image [ns].
     """
 
     lights_at_once: int = 1
@@ -123,7 +124,7 @@ class Traits:
     # Where triangles are judged one by one, each takes 0.07 us in a bundle to 8 points and 0.12 in one to 64; a ray
     # 0.12 to 0.25 us (mesh_bvh: BART robots, conference, the red kitchen, a room of texels).
     bundle_costs: tuple[float, float, float] = (0.0, 63.0, 0.9)
-    ray_costs: tuple[float, float] = (150.0, 0.0)
+    ray_costs: tuple[float, float, float] = (150.0, 0.0, 0.0)
 
 
 class Accelerator:

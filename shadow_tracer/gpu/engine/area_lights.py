@@ -109,7 +109,9 @@ def _is_bundle(
     if not spent:
         return True, {}
     together = bundle_cost(working[0].pipeline, len(points), spent)
-    one_by_one = spent.pop("rays") * ray_cost(apart, triangles / count)  # they are asked again: not to be counted
+    one_by_one = spent.pop("rays") * ray_cost(
+        apart, triangles / count, working[0].samples.width > 0
+    )  # they are asked again: not to be counted
     return together <= one_by_one, spent
 
 
@@ -119,10 +121,10 @@ def bundle_cost(pipeline: Accelerator, points: int, counts: dict[str, int]) -> f
     return node * counts["nodes_visited"] + (triangle + pair * points) * counts["leaf_tests"]
 
 
-def ray_cost(pipeline: Accelerator, triangles: float) -> float:
-    """What a ray costs, with so many triangles in the scene for each sample [ns]."""
-    ray, triangle = pipeline.traits.ray_costs
-    return ray + triangle * triangles
+def ray_cost(pipeline: Accelerator, triangles: float, image: bool) -> float:
+    """What a ray costs, with so many triangles in the scene for each sample, which are an image or a list [ns]."""
+    ray, triangle, listed = pipeline.traits.ray_costs
+    return ray + triangle * triangles + (0.0 if image else listed)
 
 
 def _plus(counters: dict[str, int], more: dict[str, int]) -> dict[str, int]:

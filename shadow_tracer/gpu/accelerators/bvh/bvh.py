@@ -60,9 +60,9 @@ native.constants(BLOCK_BAND=2.0**-17, BLOCK_FLOOR=1e-30)
 # Rays of a bundle are no farther than that from its middle, in units of the scene's extent, and it visits no more nodes
 # and blocks for each of them. The last is how long rays of a packet may be before they are cut.
 native.constants(WIDEST=2.0**-6, PATIENCE=4, LONGEST=1e100)
-# Where sixteen triangles are judged in float32, nodes and blocks cost nearly all there is to a bundle to 64 points:
-# 0.09 to 0.12 us each where there are 20 to 370 of them (BART robots, conference, two recorded rooms).
-_IN_BLOCKS = 90.0, 13.0, 0.0
+# Where sixteen triangles are judged in float32: within a third of what was measured where there are 10 to 120 nodes and
+# blocks, and 4 to 70 triangles (BART robots, conference, two recorded rooms; panels of 5 to 20 % of the view).
+_IN_BLOCKS = 50.0, 3.0, 0.5
 
 _QUERIES = (ANY_HIT, MASK, CLOSEST)
 # On the CPU: rays one by one, and in packets of sixteen; and a sample with all points of a light.
