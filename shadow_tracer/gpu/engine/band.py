@@ -24,7 +24,6 @@ from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples import normals, pixels
 from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
-from shadow_tracer.gpu.samples.rays import project
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, MASK_POINTS, Mask
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
@@ -100,14 +99,9 @@ class Band:
         if self._kept is None:
             self.samples.renew()  # the rays of another band in the same buffers are overwritten
         before = self._kept.rays_so_far() if self._kept is not None else 0
-        self._project(rays)
+        self.pipeline.project(rays)
         if self._kept is not None:
             self._kept.keep(rays.lights, before)
-
-    def _project(self, rays: Rays, counted: bool = False) -> None:
-        with self.stages.stage("project"):
-            for place, light in enumerate(rays.lights):
-                project(self.samples, light.number, place, counted)
 
     def trace(self, rays: Rays) -> None:
         """Find their occluders."""
@@ -143,7 +137,7 @@ class Band:
             # Another pass may have put its rays and records where those of this one lay.
             self.context.records.plan(rays.lights, len(passes[0].lights))
             self.aim(rays.lights)
-            self._project(rays, counted=True)
+            self.pipeline.project(rays, counted=True)
             queue_count = samples.queue_count_of[rays.first]
             queue_count.zero_()
             for _ in self.pipeline.more(rays):

@@ -18,9 +18,9 @@ struct Entries {
           flushes(0) {}
     inline const float* record(int number) const { return (const float*)occluders.records.data + 16 * (size_t)number; }
     inline void shadow(int tile, unsigned rays) {
-        const int* order = TileMemory::order(tiles, tile);
+        const int piece = TileMemory::piece(tiles, tile);
         for (; rays; rays &= rays - 1)
-            answers.states.data[order[__builtin_ctz(rays)]] = SHADOWED;
+            answers.states.data[TileMemory::ray_of(tiles, piece, __builtin_ctz(rays))] = SHADOWED;
     }
     // All rays of a tile are in shadow.
     inline void accept(int tile) {
@@ -43,9 +43,10 @@ struct Entries {
         if (!found)
             return live;
         const unsigned yes = ((unsigned)yes_low | (unsigned)yes_high << 16) & found;
-        const int* order = TileMemory::order(tiles, tile);
+        const int piece = TileMemory::piece(tiles, tile);
         for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
-            if (Settle::pair(answers, order[__builtin_ctz(maybe)], number % occluders.records_apart))
+            if (Settle::pair(answers, TileMemory::ray_of(tiles, piece, __builtin_ctz(maybe)),
+                             number % occluders.records_apart))
                 live &= ~(maybe & -maybe);
         shadow(tile, yes);
         return live & ~yes;

@@ -14,6 +14,7 @@ _GPU = "shadow_tracer/gpu"
 _GRID = "accelerators/light_grid/"
 _BOXES, _TILES, _CANDIDATES = "test_packed_boxes.py", "test_packed_tiles.py", "test_candidates.py"
 _TOGETHER = "test_together.py"
+_PIECES = "test_pieces.py"
 _BOUNDS = ("low_u", "high_u", "low_v", "high_v")
 _COVERED = "(middle[3] - reach[3] + far > plane)"
 
@@ -32,7 +33,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "a face as far as its nearest ray": (
         _CANDIDATES,
         "all_around",
-        [(_GRID + "packing16.h", "far = farthest[j] > far ? farthest[j] : far;", "far = farthest[j];")],
+        [(_GRID + "pieces16.h", "far = farthest[j] > far ? farthest[j] : far;", "far = farthest[j];")],
     ),
     "rays outside of the tiles forgotten": (
         _CANDIDATES,
@@ -68,6 +69,37 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         _TOGETHER,
         "clusters",
         [(_GRID + "together16.h", "planes.p[3] * t0, planes.p[3] * t0", "planes.p[3] * box[80], planes.p[3] * t0")],
+    ),
+    "pieces on the first of their faces": (
+        _PIECES,
+        "brute_force",
+        [(_GRID + "pieces16.h", "if (faces & (faces - 1))", "if (faces == 0)")],
+    ),
+    "pieces in the frustum without a look": (
+        _PIECES,
+        "brute_force",
+        [(_GRID + "pieces16.h", "if (Lanes16::bits(in & ~OnFace16::ahead(ray.U, ray.V, ray.W)))", "if (piece < 0)")],
+    ),
+    "halves that both have all rays": (
+        _PIECES,
+        "edges",
+        [(_GRID + "pool16.h", "pieces.live.data[piece] & ~below;", "pieces.live.data[piece];")],
+    ),
+    "boxes of pieces of their first half": (
+        _TILES,
+        "test_one_light and frustum and sun",
+        [
+            (
+                _GRID + "pieces16.h",
+                "box.take(live(pieces, piece, half), at, at.depth(ray.Z, inverse));",
+                "if (half == 0) box.take(live(pieces, piece, half), at, at.depth(ray.Z, inverse));",
+            )
+        ],
+    ),
+    "halves beyond the room for them": (
+        _PIECES,
+        "no_room",
+        [(_GRID + "pool16.h", "if (other >= pieces.room)", "if (other < 0)")],
     ),
     "boxes without pads": (
         _TILES,
@@ -151,5 +183,5 @@ def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels
     tests, some, changes = _MUTANTS[mutant]
     failed = failing_tests(changes, f"accelerators/light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
-    if tests not in (_CANDIDATES, _TOGETHER):  # which only the wide form has
+    if tests not in (_CANDIDATES, _TOGETHER, _PIECES) and "pieces" not in mutant:  # which only the wide form has
         assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"
