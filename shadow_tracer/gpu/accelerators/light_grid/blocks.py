@@ -68,7 +68,7 @@ class BlockGrid:
         self._admission.counts.zero_()
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [samples.lights_from(rays.first), int(counted), samples.positions, samples.valid, samples.rays]
+            inputs = [samples.lights_from(rays.first), int(counted), samples.positions, samples.valid]
             inputs += [samples.states_of(rays.first, len(rays.lights)), *self._admission.listed]
             return 1, [*inputs, tiles, pieces, samples.counters]
 
@@ -80,7 +80,7 @@ class BlockGrid:
         pieces.limit = limit_of(samples.count, self._context.scene.triangle_count)
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [samples.lights_from(rays.first), buffers.tiles, pieces, samples.rays, buffers.cells]
+            inputs = [samples.lights_from(rays.first), buffers.tiles, pieces, buffers.cells]
             return 1, [*inputs, buffers.sort.keys, buffers.sort.values]
 
         self._launch(packing.pack_pieces, self._look(rays), prepare)

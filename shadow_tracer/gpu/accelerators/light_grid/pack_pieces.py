@@ -45,7 +45,6 @@ def project_segment(
     counted: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
-    rays: wp.array(dtype=wp.vec4),
     states: wp.array(dtype=wp.uint8),
     wild: wp.array(dtype=int),
     wild_counts: wp.array(dtype=int),
@@ -53,7 +52,7 @@ def project_segment(
     pieces: Pieces,
     counters: wp.array2d(dtype=wp.int64),
 ):
-    """Rays and states of some pieces side by side, for the light at ``place``; ``rays`` gets those that are wild."""
+    """Rays and states of some pieces side by side, for the light at ``place``."""
     ...
 
 
@@ -77,7 +76,6 @@ def take_apart(
     count: int,
     tiles: Tiles,
     pieces: Pieces,
-    rays: wp.array(dtype=wp.vec4),
     cells: wp.array(dtype=int),
     keys: wp.array(dtype=int),
     order: wp.array(dtype=int),
@@ -96,7 +94,6 @@ def put_together(
     bad: int,
     tiles: Tiles,
     pieces: Pieces,
-    rays: wp.array(dtype=wp.vec4),
     keys: wp.array(dtype=int),
     order: wp.array(dtype=int),
 ) -> int:
@@ -154,7 +151,6 @@ def project_pieces(
     counted: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
-    rays: wp.array(dtype=wp.vec4),
     states: wp.array(dtype=wp.uint8),
     wild: wp.array(dtype=int),
     wild_counts: wp.array(dtype=int),
@@ -176,7 +172,6 @@ def project_pieces(
                 counted,
                 samples,
                 valid,
-                rays,
                 states,
                 wild,
                 wild_counts,
@@ -191,12 +186,11 @@ def mend_pieces(
     lights: wp.array(dtype=LightFrame),
     tiles: Tiles,
     pieces: Pieces,
-    rays: wp.array(dtype=wp.vec4),
     cells: wp.array(dtype=int),
     keys: wp.array(dtype=int),
     order: wp.array(dtype=int),
 ):
-    """Boxes of all pieces; those that are large are made smaller. ``rays`` gets the rays of some of these."""
+    """Boxes of all pieces; those that are large are made smaller."""
     clear_cells(tiles, cells)
     tiles.counts[ALL_RAYS] = 0
     pieces.count[0] = pieces.of_light * tiles.lights
@@ -206,7 +200,7 @@ def mend_pieces(
         inverse = space_of(lights[place]).inverse
         finish_light(place, inverse, tiles, pieces)
         end = list_pool(place, inverse, bad, tiles, pieces)
-        count = take_apart(place, bad, end, count, tiles, pieces, rays, cells, keys, order)
+        count = take_apart(place, bad, end, count, tiles, pieces, cells, keys, order)
         bad = end
     if count == 0:
         return
@@ -217,9 +211,7 @@ def mend_pieces(
         last = cells[(number + 1) * U_CELLS - 1]
         if last > begin:
             inverse = space_of(lights[number // FACES]).inverse
-            made = put_together(
-                number, inverse, count + begin, count + last, made, bad, tiles, pieces, rays, keys, order
-            )
+            made = put_together(number, inverse, count + begin, count + last, made, bad, tiles, pieces, keys, order)
         begin = last
 
 
@@ -228,13 +220,12 @@ def pack_pieces(
     lights: wp.array(dtype=LightFrame),
     tiles: Tiles,
     pieces: Pieces,
-    rays: wp.array(dtype=wp.vec4),
     cells: wp.array(dtype=int),
     keys: wp.array(dtype=int),
     order: wp.array(dtype=int),
 ):
     """Pieces to tiles, blocks and columns."""
-    mend_pieces(lights, tiles, pieces, rays, cells, keys, order)
+    mend_pieces(lights, tiles, pieces, cells, keys, order)
     clear_cells(tiles, cells)
     found = list_pieces(pieces.count[0], tiles, pieces, cells, keys, order)
     to_columns(found, tiles, cells, keys, order)

@@ -54,6 +54,7 @@ class Pieces:
     room: int  # for pieces and what is split of them
     limit: float  # rays that the box of a piece may hold, see ``limit_of``
     pool_order: int  # where in ``Tiles.order`` the rays of made pieces are
+    rays: wp.array(dtype=wp.vec4)  # by number, those that are wild or taken apart
     box: wp.array(dtype=float)  # [piece][low u v t, high u v t]
     live: wp.array(dtype=int)  # bits of the rays that are in it
     group: wp.array(dtype=int)  # that its rays are in, or below zero
@@ -113,6 +114,7 @@ class PieceBuffers:
         most = most_pieces(bounds.max_rays, bounds.max_lights)
         pieces = Pieces()
         pieces.room, pieces.pool_order = most - int(FACES) * bounds.max_lights, TILE * most
+        pieces.rays = samples.rays
         pieces.box = wp.empty(6 * most, dtype=float, device=device)
         pieces.live = wp.empty(most, dtype=int, device=device)
         pieces.group = wp.empty(most, dtype=int, device=device)

@@ -42,6 +42,35 @@ struct Lanes32 {
     inline explicit Lanes32(const float* lanes)
         : U(Lanes16::load(lanes)), V(Lanes16::load(lanes + 16)), W(Lanes16::load(lanes + 32)),
           Z(Lanes16::load(lanes + 48)) {}
+    // Of rays that lie one behind the other.
+    inline explicit Lanes32(const wp::vec4* rays) {
+        const Real16* four = (const Real16*)rays;
+#define EVERY_FOURTH(k)                                                                                                \
+    __builtin_shufflevector(                                                                                           \
+        __builtin_shufflevector(four[0], four[1], k, k + 4, k + 8, k + 12, k + 16, k + 20, k + 24, k + 28),            \
+        __builtin_shufflevector(four[2], four[3], k, k + 4, k + 8, k + 12, k + 16, k + 20, k + 24, k + 28), 0, 1, 2,   \
+        3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
+        U = EVERY_FOURTH(0);
+        V = EVERY_FOURTH(1);
+        W = EVERY_FOURTH(2);
+        Z = EVERY_FOURTH(3);
+#undef EVERY_FOURTH
+    }
+    // Of half a piece. Those of points in no order lie in the order of their numbers, to be taken apart; what is made
+    // of them has lanes.
+    static inline Lanes32 of(const Tiles& tiles, const Pieces& pieces, int piece, int half) {
+        const wp::vec3i& numbers = tiles.numbers.data[piece];
+        if (!pieces.loose || numbers[1] >= pieces.pool_order)
+            return Lanes32(TileMemory::lanes(tiles, piece) + half * TileMemory::SIXTEEN_RAYS);
+        const int sample = numbers[1] + 16 * half, left = tiles.samples - sample;
+        const wp::vec4* rays = pieces.rays.data + numbers[2] + sample;
+        if (left >= 16)
+            return Lanes32(rays);
+        wp::vec4 some[16];
+        for (int j = 0; j < 16; ++j)
+            some[j] = pieces.rays.data[numbers[2] + (j < left ? sample + j : tiles.samples - 1)];
+        return Lanes32(some);
+    }
     inline const Real16& operator[](int k) const { return k == 0 ? U : k == 1 ? V : W; }
     // What float32 and set-up are at fault by, many times over.
     inline Real16 pad() const {
@@ -89,13 +118,14 @@ struct Pieces16 {
                 continue;
             PieceBox16 box;
             for (int half = 0; half < 2; ++half) {
-                const Lanes32 ray(TileMemory::lanes(tiles, piece) + half * TileMemory::SIXTEEN_RAYS);
+                const Lanes32 ray = Lanes32::of(tiles, pieces, piece, half);
                 const Mask16 in = live(pieces, piece, half);
                 if (Lanes16::bits(in & ~OnFace16::ahead(ray.U, ray.V, ray.W)))
                     return false;
                 at.forward(ray.U, ray.V, ray.W);
                 front.take(in, at, ray.Z, ray.pad());
-                box.take(in, at, at.depth(ray.Z, inverse));
+                if (!pieces.loose)
+                    box.take(in, at, at.depth(ray.Z, inverse));
             }
             pieces.group.data[piece] = pieces.loose ? SEVERAL_FACES : FACES * place + FORWARD;
             if (!pieces.loose)
@@ -109,7 +139,7 @@ struct Pieces16 {
         PieceBox16 box;
         OnFace16 at;
         for (int half = 0; half < 2; ++half) {
-            const Lanes32 ray(TileMemory::lanes(tiles, piece) + half * TileMemory::SIXTEEN_RAYS);
+            const Lanes32 ray = Lanes32::of(tiles, pieces, piece, half);
             at.set(face, ray[axis], ray[(axis + 1) % 3], ray[(axis + 2) % 3]);
             box.take(live(pieces, piece, half), at, at.depth(ray.Z, inverse));
         }
@@ -124,7 +154,7 @@ struct Pieces16 {
         OnFace16 at;
         unsigned below = 0;
         for (int half = 0; half < 2; ++half) {
-            const Lanes32 ray(TileMemory::lanes(tiles, piece) + half * TileMemory::SIXTEEN_RAYS);
+            const Lanes32 ray = Lanes32::of(tiles, pieces, piece, half);
             at.set(face, ray[axis], ray[(axis + 1) % 3], ray[(axis + 2) % 3]);
             const Mask16 in = live(pieces, piece, half), less = (second ? at.v : at.u) < value;
             const Real16 depth = at.depth(ray.Z, inverse);
@@ -146,7 +176,7 @@ struct Pieces16 {
                 continue;
             int faces = 0;
             for (int half = 0; half < 2; ++half) {
-                const Lanes32 ray(TileMemory::lanes(tiles, piece) + half * TileMemory::SIXTEEN_RAYS);
+                const Lanes32 ray = Lanes32::of(tiles, pieces, piece, half);
                 const Mask16 in = live(pieces, piece, half);
                 at.look(ray.U, ray.V, ray.W);
                 const Real16 pad = ray.pad();

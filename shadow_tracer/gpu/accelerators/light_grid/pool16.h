@@ -101,8 +101,8 @@ struct Pool16 {
     // Takes the listed pieces from `from` to `to`, those of one light, apart: keys and numbers of their rays behind the
     // first `count`, and the rays where they are found by number; returns how many there are now.
     static inline int take_apart(int place, int from, int to, int count, const Tiles& tiles, const Pieces& pieces,
-                                 const wp::array_t<wp::vec4>& rays, const wp::array_t<int>& cells,
-                                 const wp::array_t<int>& keys, const wp::array_t<int>& order) {
+                                 const wp::array_t<int>& cells, const wp::array_t<int>& keys,
+                                 const wp::array_t<int>& order) {
         const bool aligned = tiles.aligned.data[place] != 0;
         const wp::vec4* fit = tiles.fit.data + FACES * place;
         OnFace16 at;
@@ -110,7 +110,7 @@ struct Pool16 {
             const int piece = pieces.pool.data[k];
             pieces.group.data[piece] = NO_GROUP;
             for (int half = 0; half < 2; ++half) {
-                const Lanes32 ray(TileMemory::lanes(tiles, piece) + half * TileMemory::SIXTEEN_RAYS);
+                const Lanes32 ray = Lanes32::of(tiles, pieces, piece, half);
                 Real16 grid[4];
                 for (int q = 0; q < 4; ++q)
                     grid[q] = fit[FORWARD][q];
@@ -128,7 +128,8 @@ struct Pool16 {
                 unsigned take = (unsigned)pieces.live.data[piece] >> 16 * half & 0xFFFF;
                 for (; take; take &= take - 1) {
                     const int j = __builtin_ctz(take), number = TileMemory::ray_of(tiles, piece, 16 * half + j);
-                    rays.data[number] = TileMemory::ray(tiles, piece, 16 * half + j);
+                    if (!pieces.loose)
+                        pieces.rays.data[number] = TileMemory::ray(tiles, piece, 16 * half + j);
                     keys.data[count] = code[j];
                     order.data[count++] = number;
                     ++cells.data[code[j] >> V_BITS];
@@ -146,8 +147,7 @@ struct Pool16 {
     // The rays of group `number`, order[begin:end] with cells of v in `keys`, as new pieces: the first of them take the
     // places of the listed ones, `bad` in number. `made`: pieces that have been made; returns how many there are now.
     static inline int put_together(int number, int inverse, int begin, int end, int made, int bad, const Tiles& tiles,
-                                   const Pieces& pieces, const wp::array_t<wp::vec4>& rays,
-                                   const wp::array_t<int>& keys, const wp::array_t<int>& order) {
+                                   const Pieces& pieces, const wp::array_t<int>& keys, const wp::array_t<int>& order) {
         const int length = column_length(end - begin, tiles.fit.data[number]);
         for (int from = begin; from < end; from += length) {
             const int to = from + length < end ? from + length : end;
@@ -155,6 +155,8 @@ struct Pool16 {
             Counting::sort(to - from, keys.data + from, order.data + from, sorted);
             for (int k = 0; k < to - from; k += TILE_RAYS, ++made) {
                 const int used = to - from - k < TILE_RAYS ? to - from - k : TILE_RAYS;
+                for (int j = k + 2 * TILE_RAYS; j < k + 3 * TILE_RAYS && j < to - from; ++j)
+                    __builtin_prefetch(pieces.rays.data + sorted[j]);
                 const int piece = made < bad ? pieces.pool.data[made] : pieces.count.data[0]++;
                 for (int j = used; j < TILE_RAYS; ++j)
                     sorted[k + j] = sorted[k];
@@ -164,7 +166,7 @@ struct Pool16 {
                 for (int half = 0; half < 2; ++half, lanes += TileMemory::SIXTEEN_RAYS) {
                     for (int j = 0; j < 16; ++j)
                         for (int q = 0; q < 4; ++q)
-                            lanes[16 * q + j] = rays.data[sorted[k + 16 * half + j]][q];
+                            lanes[16 * q + j] = pieces.rays.data[sorted[k + 16 * half + j]][q];
                     const Lanes32 it(lanes);
                     const Real16 floor = MAGNITUDE_FLOOR;
                     Lanes16::store(lanes + 64,
