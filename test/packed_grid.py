@@ -9,11 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 import probe
 import probe_accelerators
+import warp as wp
 
 from shadow_tracer import Bounds, PointLight, ShadowTracer
+from shadow_tracer.gpu.accelerators.admission import IN_TREE
 from shadow_tracer.gpu.accelerators.interface import Rays
+from shadow_tracer.gpu.accelerators.light_grid.pack_pieces import begin_light
+from shadow_tracer.gpu.accelerators.light_grid.pieces import Pieces
 from shadow_tracer.gpu.accelerators.light_grid.tiles import LOOKUP, QUANTITIES, Tiles
-from shadow_tracer.gpu.exact.light_frame import Anchor, make_anchor, make_light_frame
+from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.exact.light_frame import SHADOWED, Anchor, LightFrame, make_anchor, make_light_frame
+from shadow_tracer.gpu.exact.light_space import space_of
+from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.scene.lights import Light
 
 TILE, BLOCK = 32, 512  # rays
@@ -38,8 +45,9 @@ class Boxes:
 
 @dataclass(frozen=True)
 class Packed:
-    """What is in `Tiles`, read back. G groups, N tiles."""
+    """What is in `Tiles`, read back. G groups, N tiles; `pieces`: made of pieces, as the wide form does."""
 
+    pieces: bool
     aligned: np.ndarray  # (lights,)
     fit: np.ndarray  # (G, 4)
     groups: np.ndarray  # (G, 6) see tiles.py
@@ -80,7 +88,13 @@ def read(tiles: Tiles) -> Packed:
     counts = tiles.counts.numpy().copy()
     groups = tiles.groups.numpy()[: 6 * tiles.lights].copy()
     count = 16 * int(counts[2])
-    halves = tiles.rays.numpy()[: 160 * count].reshape(count, 2, 5, 16)
+    pieces = tiles.source.shape[0] > 0
+    lanes, order = np.arange(count), tiles.order.numpy()
+    if pieces:
+        lanes, piece = tiles.source.numpy()[:count].T
+        _, first, more = tiles.numbers.numpy()[piece].T
+        order = (order[first[:, None] + np.arange(TILE)] + more[:, None]).reshape(-1)
+    halves = tiles.rays.numpy().reshape(-1, 2, 5, 16)[lanes]
     live = (tiles.live.numpy()[:count, None].view(np.uint32) >> np.arange(TILE, dtype=np.uint32)) & 1
     sixteens = {
         level: values.numpy().reshape(-1, QUANTITIES, 16)
@@ -106,17 +120,55 @@ def read(tiles: Tiles) -> Packed:
             some = some[np.isin(some // 16, np.array(full["column"], int).reshape(-1, 3)[:, 0])]
         empty[level] = sixteens[level][some // 16, 2:4, some % 16]
     return Packed(
+        pieces,
         tiles.aligned.numpy()[: tiles.lights].copy(),
         tiles.fit.numpy()[: 6 * tiles.lights].copy(),
         groups,
         counts,
-        tiles.order.numpy()[: TILE * count].reshape(count, TILE).copy(),
+        order[: TILE * count].reshape(count, TILE).copy(),
         live.astype(bool),
         halves.transpose(0, 1, 3, 2).reshape(count, TILE, 5).copy(),
         tiles.lookup.numpy()[: 6 * LOOKUP * tiles.lights].reshape(-1, LOOKUP, 2).copy(),
         boxes,
         empty,
     )
+
+
+@native.func_native("accelerators/light_grid/pieces16.h", calls="Pieces16::more")
+def more_pieces(place: int, inverse: bool, first: int, end: int, tiles: Tiles, pieces: Pieces):
+    """The pieces from `first` on are there."""
+    ...
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def begin_pieces(tiles: Tiles, pieces: Pieces):
+    begin_light(wp.tid(), tiles, pieces)
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def measure_pieces(lights: wp.array(dtype=LightFrame), tiles: Tiles, pieces: Pieces):
+    place = wp.tid()
+    first = place * pieces.of_light
+    more_pieces(place, space_of(lights[place]).inverse != 0, first, first + pieces.of_light, tiles, pieces)
+
+
+def _fill(pieces: Pieces, tiles: Tiles, samples: SampleSet, group: np.ndarray, lights: int) -> None:
+    """What projecting leaves of rays, groups and states."""
+    wp.launch(begin_pieces, dim=lights, inputs=[tiles, pieces], device="cpu")
+    count = lights * pieces.of_light
+    lanes, first, more = tiles.numbers.numpy()[:count].T
+    sample = tiles.order.numpy()[first[:, None] + np.arange(32)]
+    there = (sample > 0) | (first[:, None] + np.arange(32) == 0)
+    number = sample + more[:, None]
+    inside = (group == IN_TREE)[number] & there
+    inside &= samples.states_of(0, lights).numpy()[number] != SHADOWED
+    halves = tiles.rays.numpy().reshape(-1, 2, 5, 16)
+    ray = samples.rays.numpy()[number].reshape(count, 2, 16, 4)
+    halves[lanes, :, :4] = ray.transpose(0, 1, 3, 2)
+    halves[lanes, :, 4] = np.abs(ray[..., (0, 1, 3)]).sum(axis=-1) + np.float32(2.0**-20)
+    bits = (inside.astype(np.uint64) << np.arange(32, dtype=np.uint64)).sum(axis=1)
+    pieces.live.numpy()[:count] = bits.astype(np.uint32).view(np.int32)
+    wp.launch(measure_pieces, dim=lights, inputs=[samples.lights_from(0), tiles, pieces], device="cpu")
 
 
 class Packing:
@@ -131,19 +183,25 @@ class Packing:
         kind: np.ndarray | None = None,
         states: np.ndarray | None = None,
         lights: tuple[Light, ...] = (OUTSIDE,),
+        width: int = 0,
     ) -> Packed:
-        """(lights, N, 4) rays in light space; (lights, N) group (all in tiles) and states (all lit)."""
+        """(lights, N, 4) rays in light space; (lights, N) group (all in tiles) and states (all lit); `width`: of the
+        image they are of, 0 if of points."""
         frame, pipeline = probe.context(self._tracer).samples, probe.pipeline(self._tracer)
         rays = np.ascontiguousarray(rays, np.float32).reshape(len(lights), -1, 4)
         count, everything = rays.shape[1], rays.shape[0] * rays.shape[1]
         frames = tuple(make_light_frame(light, Anchor((0.0, 0.0, 0.0), 1.0), k) for k, light in enumerate(lights))
-        frame.set_samples(count, 0)
+        frame.set_samples(count, width)
         frame.set_lights(frames)
         group = probe_accelerators.admission_groups(pipeline)
         frame.rays[:everything].assign(rays.reshape(-1, 4))
         group[:everything].assign(np.ones(everything, np.uint8) if kind is None else kind.reshape(-1))
         frame.states_of(0, len(lights)).assign(np.zeros(everything, np.uint8) if states is None else states.reshape(-1))
-        return read(probe_accelerators.pack(pipeline, Rays(frames)))
+        rays_of = Rays(frames)
+        pieces = probe_accelerators.begin(pipeline, rays_of)
+        if pieces is not None:
+            _fill(pieces, probe_accelerators.tiles(pipeline), frame, group.numpy(), len(lights))
+        return read(probe_accelerators.pack(pipeline, rays_of))
 
 
 # --- scenes that need the pads: 32 samples, each 32 times so that the boxes of its tile hold but one direction ---

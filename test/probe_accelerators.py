@@ -15,6 +15,7 @@ from shadow_tracer import ShadowTracer
 if TYPE_CHECKING:  # what lies in gpu is imported when conftest.py has chosen the form
     from shadow_tracer.gpu.accelerators.interface import Rays
     from shadow_tracer.gpu.accelerators.light_grid.binning import Bins
+    from shadow_tracer.gpu.accelerators.light_grid.pieces import Pieces
     from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
 
 # --- cone_hierarchy/linear ---
@@ -86,8 +87,7 @@ def tiles(grid: Any) -> Tiles:
 
 
 def pack(grid: Any, rays: Rays) -> Tiles:
-    """Put the rays of a pass that have been admitted into tiles, which are returned."""
-    grid._begin(rays)
+    """Put the rays of a pass that have been admitted, or are in pieces, into tiles, which are returned."""
     grid._way.pack(rays)
     return tiles(grid)
 
@@ -95,6 +95,43 @@ def pack(grid: Any, rays: Rays) -> Tiles:
 def limit_rays_at_once(grid: Any, count: int) -> None:
     """Of a pass of several lights that do not rest."""
     grid.traits = replace(grid.traits, rays_at_once=count)
+
+
+def begin(grid: Any, rays: Rays) -> Pieces | None:
+    """Begin a pass; its pieces, in the form of the CPU."""
+    grid._begin(rays)
+    return grid._way._pieces.of() if hasattr(grid._way, "_pieces") else None
+
+
+def pieces(grid: Any) -> Pieces:
+    """Of the samples as they are, in the form of the CPU."""
+    found: Pieces = grid._way._pieces.of()
+    return found
+
+
+def row_of_points(grid: Any) -> int:
+    """How many points a row of those asked about last seems to have; 0: none, below zero: they are in no order."""
+    return int(grid._way._pieces._width())
+
+
+def pieces_made(grid: Any) -> int:
+    """How many pieces of the last pass are made of the rays of others."""
+    tiles, of_pass = grid._buffers.tiles, pieces(grid)
+    return int((tiles.numbers.numpy()[: of_pass.count.numpy()[0], 1] >= of_pass.pool_order).sum())
+
+
+def kept_live(grid: Any, count: int) -> np.ndarray:
+    """(count, 32) bool: the rays of each tile before the last frame was traced."""
+    bits = grid._way._kept[0].numpy()[:count, None].view(np.uint32)
+    found: np.ndarray = (bits >> np.arange(32, dtype=np.uint32)) & 1
+    return found.astype(bool)
+
+
+def wild_rays(grid: Any) -> np.ndarray:
+    """Numbers of the rays of the last pass that are not in tiles and meet every triangle."""
+    wild, counts = grid._admission.listed
+    found: np.ndarray = wild.numpy()[: counts.numpy()[1]].copy()
+    return found
 
 
 def bins(grid: Any) -> Bins:

@@ -1,13 +1,10 @@
-// constants: ABSENT IN_TREE WILD WILD_RATIO LIT ADMIT_BLOCK
+// needs: accelerators/fits.h
+// constants: ABSENT IN_TREE WILD LIT ADMIT_BLOCK
 // Which rays go into a structure over light space; see admission.py.
 struct Admission {
     // Without branches.
     static inline int group(const wp::vec4& ray, wp::uint8 state) {
-        const float x = fabsf(ray[0]), y = fabsf(ray[1]), z = fabsf(ray[2]);
-        float size = x > y ? x : y;
-        size = size > z ? size : z;
-        const float sum = x + y + z + fabsf(ray[3]) + 1.0f;
-        const int fits = (sum <= WILD_RATIO * size) & (sum < 1.0e30f);
+        const int fits = Fits1::of(ray[0], ray[1], ray[2], ray[3]);
         const int takes_part = (state == LIT) & (ray[0] == ray[0]);
         return takes_part ? WILD - fits * (WILD - IN_TREE) : ABSENT;
     }

@@ -141,6 +141,11 @@ class Admission:
 
         self._launch(admit_blocks if wide else admit_rays, (rays.first, count, samples.count), prepare)
 
+    @property
+    def listed(self) -> tuple[wp.array, wp.array]:
+        """The list of wild rays, and ``counts``."""
+        return self._wild, self.counts
+
     def test_wild(self, rays: Rays) -> None:
         """Test the rays that are not in the structure."""
         samples, scene, records = self._context.samples, self._context.scene, self._context.records

@@ -13,6 +13,7 @@ from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.occluders.seen import TriangleRecords
 from shadow_tracer.gpu.occluders.world import SceneBuffers
+from shadow_tracer.gpu.samples.rays import project, project_without_rays
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility.answers import Answers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, AnyHit, Mask, Query
@@ -146,6 +147,17 @@ class Accelerator:
         """Make what depends on occluders and lights, unless it is there. Called before ``show``, and once for all that
         share the rays of a frame."""
         raise NotImplementedError
+
+    def project(self, rays: Rays, counted: bool = False) -> None:
+        """Make the rays of a pass and their states, for ``show``; ``counted``: they are made once more, and have been
+        counted."""
+        samples = self._context.samples
+        with self._context.stages.stage("project"):
+            for place, light in enumerate(rays.lights):
+                if self.takes_rays(light):
+                    project(samples, light.number, place, counted)
+                else:
+                    project_without_rays(samples, light.number)
 
     def show(self, rays: Rays, query: Query) -> None:
         """Show rays every triangle that could be in between, in any order, any number of times. ``query``: what is done

@@ -25,7 +25,6 @@ from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.samples import normals, pixels
 from shadow_tracer.gpu.samples.held import Source, depth_of
 from shadow_tracer.gpu.samples.kept_rays import KeptRays
-from shadow_tracer.gpu.samples.rays import project, project_without_rays
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, MASK, MASK_BINS, MASK_POINTS, Mask
 from shadow_tracer.gpu.visibility.queue import Pending, WaitingPairs
@@ -112,17 +111,9 @@ class Band:
         elif not rays.keep:
             self._kept.forget()
         before = self._kept.rays_so_far() if self._kept is not None and rays.keep else 0
-        self._project(rays, counted)
+        self.pipeline.project(rays, counted)
         if self._kept is not None and rays.keep:
             self._kept.keep(rays.lights, before)
-
-    def _project(self, rays: Rays, counted: bool = False) -> None:
-        with self.stages.stage("project"):
-            for place, light in enumerate(rays.lights):
-                if self.pipeline.takes_rays(light):
-                    project(self.samples, light.number, place, counted)
-                else:
-                    project_without_rays(self.samples, light.number)
 
     def trace(self, rays: Rays) -> None:
         """Find their occluders."""
@@ -158,7 +149,7 @@ class Band:
             # Another pass may have put its rays and records where those of this one lay.
             self.context.records.plan(rays.lights, len(passes[0].lights))
             self.aim(rays.lights)
-            self._project(rays, counted=True)
+            self.pipeline.project(rays, counted=True)
             queue_count = samples.queue_count_of[rays.first]
             queue_count.zero_()
             for _ in self.pipeline.more(rays):

@@ -13,6 +13,8 @@ import probe_accelerators
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
+from shadow_tracer.gpu.accelerators.interface import Accelerator, Rays
+from shadow_tracer.gpu.accelerators.light_grid.blocks import BlockGrid
 from shadow_tracer.gpu.engine import band, bands
 from shadow_tracer.gpu.engine import frame as frame_tracer
 
@@ -48,13 +50,18 @@ def _bounds(**more: Any) -> Bounds:
 def projected(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Grows by a light's number for each light and band that is projected."""
     calls: list[int] = []
-    project = band.project
 
-    def counted(buffers: Any, light: int, place: int, again: int) -> None:
-        calls.append(light)
-        project(buffers, light, place, again)
+    def watch(kind: type) -> None:
+        project = kind.project  # type: ignore[attr-defined]
 
-    monkeypatch.setattr(band, "project", counted)
+        def counted(who: Any, rays: Rays, again: bool = False) -> None:
+            calls.extend(light.number for light in rays.lights)
+            project(who, rays, again)
+
+        monkeypatch.setattr(kind, "project", counted)
+
+    watch(Accelerator)
+    watch(BlockGrid)
     return calls
 
 

@@ -10,30 +10,12 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.admission import Admission
 from shadow_tracer.gpu.accelerators.interface import Context, Rays
 from shadow_tracer.gpu.accelerators.light_grid import binning, candidates
+from shadow_tracer.gpu.accelerators.light_grid import pack_pieces as packing
 from shadow_tracer.gpu.accelerators.light_grid.candidates import Candidates
-from shadow_tracer.gpu.accelerators.light_grid.tiles import (
-    ALL_BLOCKS,
-    ALL_COLUMNS,
-    ALL_RAYS,
-    BLOCK_RAYS,
-    COLUMNS_OF,
-    FIRST_BLOCK,
-    FIRST_COLUMN,
-    FIRST_RAY,
-    LENGTH,
-    QUANTITIES,
-    RAYS_OF,
-    U_CELLS,
-    TileBuffers,
-    Tiles,
-    lay_out,
-    make_lookup,
-    no_column,
-)
-from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.accelerators.light_grid.pieces import PieceBuffers, limit_of
+from shadow_tracer.gpu.accelerators.light_grid.tiles import ALL_BLOCKS, QUANTITIES, TileBuffers
 from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.exact.light_frame import LightFrame
-from shadow_tracer.gpu.exact.light_space import FACES, space_of
 from shadow_tracer.gpu.occluders.clusters import CLUSTER
 
 # Entries that are gathered on the CPU before they are traced, per place for a tile.
@@ -43,110 +25,6 @@ _AHEAD = 16
 # Clusters of which entries wait, as a part of these, and the most and the least of them: 1 KB each.
 _ENTRIES_PER_CLUSTER = 32
 _MOST_CLUSTERS, _LEAST_CLUSTERS = 512, 64
-
-
-@native.func_native("accelerators/light_grid/packing16.h", calls="Packing16::measure")
-def measure(place: int, rays: wp.array(dtype=wp.vec4), group: wp.array(dtype=wp.uint8), tiles: Tiles):
-    """Frustum and extents of the rays of the light at ``place``."""
-    ...
-
-
-@native.func_native("accelerators/light_grid/packing16.h", calls="Packing16::keys", otherwise="return 0;")
-def write_keys(
-    place: int,
-    first: int,
-    rays: wp.array(dtype=wp.vec4),
-    states: wp.array(dtype=wp.uint8),
-    group: wp.array(dtype=wp.uint8),
-    tiles: Tiles,
-    cells: wp.array(dtype=int),
-    keys: wp.array(dtype=int),
-    order: wp.array(dtype=int),
-) -> int:
-    """Keys and numbers of the light's rays that are in tiles and not known to be in shadow, to be stored from ``first``
-    on; returns the end. ``cells`` counts the rays in each (group, cell of u)."""
-    ...
-
-
-@native.func_native("accelerators/light_grid/columns.h", calls="Columns::gather")
-def to_columns(
-    count: int, tiles: Tiles, cells: wp.array(dtype=int), keys: wp.array(dtype=int), order: wp.array(dtype=int)
-):
-    """Bring the rays of each column together, behind the first ``count`` elements of ``keys`` (then the cell of v) and
-    ``order``."""
-    ...
-
-
-@native.func_native("accelerators/light_grid/columns.h", calls="Columns::pack")
-def pack_column(
-    number: int,
-    inverse: int,
-    column: int,
-    first_block: int,
-    begin: int,
-    end: int,
-    rays: wp.array(dtype=wp.vec4),
-    tiles: Tiles,
-    keys: wp.array(dtype=int),
-    order: wp.array(dtype=int),
-):
-    """Tiles, blocks and the box of one column of group ``number``: its rays are ``order[begin:end]``, with the cells of
-    v in ``keys``; ``inverse``: the mode of light space."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
-def pack_wide(
-    lights: wp.array(dtype=LightFrame),
-    rays: wp.array(dtype=wp.vec4),
-    states: wp.array(dtype=wp.uint8),
-    group: wp.array(dtype=wp.uint8),
-    tiles: Tiles,
-    cells: wp.array(dtype=int),
-    keys: wp.array(dtype=int),
-    order: wp.array(dtype=int),
-):
-    """``packing.py`` on the CPU, sixteen rays at a time: one thread, and counting takes the place of the sorts."""
-    for k in range(FACES * tiles.lights * U_CELLS):
-        cells[k] = 0
-    count = int(0)
-    for place in range(tiles.lights):
-        measure(place, rays, group, tiles)
-        count = write_keys(place, count, rays, states, group, tiles, cells, keys, order)
-    ray = int(0)
-    column = int(0)
-    block = int(0)
-    for number in range(FACES * tiles.lights):
-        rays_of = int(0)
-        for k in range(U_CELLS):
-            rays_of += cells[number * U_CELLS + k]
-        last = column + lay_out(number, ray, rays_of, column, block, tiles)
-        for k in range(column + tiles.groups[number, COLUMNS_OF], last):
-            no_column(k, tiles)
-        column = last
-        ray += rays_of
-        block += (rays_of + BLOCK_RAYS - 1) // BLOCK_RAYS
-    to_columns(count, tiles, cells, keys, order)
-    for number in range(FACES * tiles.lights):
-        first = tiles.groups[number, FIRST_RAY]
-        length = tiles.groups[number, LENGTH]
-        for k in range(tiles.groups[number, COLUMNS_OF]):
-            pack_column(
-                number,
-                space_of(lights[number // FACES]).inverse,
-                tiles.groups[number, FIRST_COLUMN] + k,
-                tiles.groups[number, FIRST_BLOCK] + k * (length // BLOCK_RAYS),
-                count + first + k * length,
-                count + first + wp.min(tiles.groups[number, RAYS_OF], (k + 1) * length),
-                rays,
-                tiles,
-                keys,
-                order,
-            )
-        make_lookup(number, tiles)
-    tiles.counts[ALL_RAYS] = count
-    tiles.counts[ALL_COLUMNS] = column
-    tiles.counts[ALL_BLOCKS] = block
 
 
 class BlockGrid:
@@ -181,6 +59,7 @@ class BlockGrid:
         self._ends = wp.zeros(bounds.max_lights, dtype=int, device=device)
         # What tracing changes of the tiles.
         self._changing = (buffers.tiles.live, buffers.tiles.boxes)
+        self._pieces = PieceBuffers(context.samples, buffers)
         self._kept = tuple(wp.empty_like(array) for array in self._changing)
 
     def follow(self) -> None:
@@ -189,17 +68,34 @@ class BlockGrid:
     def prepare(self, light: LightFrame) -> None:
         self._candidates.open(light)
 
-    def pack(self, rays: Rays) -> None:
-        samples, buffers, group = self._context.samples, self._buffers, self._admission.groups
+    def project(self, rays: Rays, counted: bool) -> None:
+        """Rays and states of all samples; ``counted``: the rays have been counted."""
+        samples, tiles, pieces = self._context.samples, self._buffers.tiles, self._pieces.of()
+        self._admission.counts.zero_()
 
         def prepare() -> tuple[int, list[Any]]:
-            states = samples.states_of(rays.first, len(rays.lights))
-            inputs = [samples.lights_from(rays.first), samples.rays, states, group, buffers.tiles, buffers.cells]
+            inputs = [samples.lights_from(rays.first), int(counted), samples.positions, samples.valid]
+            inputs += [samples.states_of(rays.first, len(rays.lights)), *self._admission.listed]
+            return 1, [*inputs, tiles, pieces, samples.counters]
+
+        self._launch(packing.project_pieces, (*self._look(rays), counted), prepare)
+
+    def pack(self, rays: Rays) -> None:
+        """Pieces into tiles."""
+        samples, buffers, pieces = self._context.samples, self._buffers, self._pieces.of()
+        pieces.limit = limit_of(samples.count, self._context.scene.triangle_count)
+
+        def prepare() -> tuple[int, list[Any]]:
+            inputs = [samples.lights_from(rays.first), buffers.tiles, pieces, buffers.cells]
             return 1, [*inputs, buffers.sort.keys, buffers.sort.values]
 
-        self._launch(pack_wide, (rays.first, len(rays.lights), samples.count), prepare)
+        self._launch(packing.pack_pieces, self._look(rays), prepare)
         if rays.keep:
             self._copy(self._kept, self._changing)
+
+    def _look(self, rays: Rays) -> tuple[int, int, int, int]:
+        samples = self._context.samples
+        return rays.first, len(rays.lights), samples.count, samples.width
 
     def unpack(self) -> None:
         """Tiles as they were before they were traced."""
@@ -247,4 +143,4 @@ class BlockGrid:
         arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
         arrays += (entries.visited, entries.masks, entries.records, entries.first)
         arrays += (self._clusters, self._faces, self._ends, *self._kept)
-        return sum(int(array.capacity) for array in arrays)
+        return self._pieces.nbytes() + sum(int(array.capacity) for array in arrays)

@@ -33,9 +33,9 @@ struct Entries {
     // They stay if an entry of theirs may wait.
     inline void close_records() { entries.count.data[2] += flushes != flushed || entries.count.data[0] > waiting; }
     inline void shadow(int tile, unsigned rays) {
-        const int* order = TileMemory::order(tiles, tile);
+        const int piece = TileMemory::piece(tiles, tile);
         for (; rays; rays &= rays - 1)
-            answers.states.data[order[__builtin_ctz(rays)]] = SHADOWED;
+            answers.states.data[TileMemory::ray_of(tiles, piece, __builtin_ctz(rays))] = SHADOWED;
     }
     // All rays of a tile are in shadow.
     inline void accept(int tile) {
@@ -58,9 +58,9 @@ struct Entries {
         if (!found)
             return live;
         const unsigned yes = ((unsigned)yes_low | (unsigned)yes_high << 16) & found;
-        const int* order = TileMemory::order(tiles, tile);
+        const int piece = TileMemory::piece(tiles, tile);
         for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
-            if (Settle::pair(answers, order[__builtin_ctz(maybe)], triangle(number)))
+            if (Settle::pair(answers, TileMemory::ray_of(tiles, piece, __builtin_ctz(maybe)), triangle(number)))
                 live &= ~(maybe & -maybe);
         shadow(tile, yes);
         return live & ~yes;

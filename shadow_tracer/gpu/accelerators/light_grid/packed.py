@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from shadow_tracer.gpu.accelerators.admission import Admission
 from shadow_tracer.gpu.accelerators.interface import Accelerator, Context, Rays, Traits
 from shadow_tracer.gpu.accelerators.light_grid.blocks import BlockGrid
+from shadow_tracer.gpu.accelerators.light_grid.pieces import most_pieces
 from shadow_tracer.gpu.accelerators.light_grid.threads import ThreadGrid
 from shadow_tracer.gpu.accelerators.light_grid.tiles import TileBuffers
 from shadow_tracer.gpu.device import forms
@@ -27,8 +28,8 @@ class PackedGrid(Accelerator):
     def __init__(self, variant: str, context: Context) -> None:
         self._context = context
         self._admission = Admission(context)
-        self._buffers = TileBuffers(context.samples)
-        wide = forms.wide(context.samples.device)
+        wide, bounds = forms.wide(context.samples.device), context.samples.bounds
+        self._buffers = TileBuffers(context.samples, most_pieces(bounds.max_rays, bounds.max_lights) if wide else 0)
         self._way: BlockGrid | ThreadGrid = (BlockGrid if wide else ThreadGrid)(context, self._buffers, self._admission)
         lights = context.samples.bounds.max_lights
         at_once = _RAYS_AT_ONCE if wide else Traits.rays_at_once
@@ -46,16 +47,24 @@ class PackedGrid(Accelerator):
             for light in lights:
                 self._way.prepare(light)
 
+    def project(self, rays: Rays, counted: bool = False) -> None:
+        """On the CPU straight into pieces of tiles."""
+        if isinstance(self._way, BlockGrid):
+            self._begin(rays)
+            with self._context.stages.stage("project"):
+                self._way.project(rays, counted)
+        else:
+            super().project(rays, counted)
+
     def show(self, rays: Rays, query: Query) -> None:
         """Pack the rays of the pass, sort the triangles into their tiles, test."""
         stages, way = self._context.stages, self._way
         with stages.stage("pack"):
-            if rays.again:
-                assert isinstance(way, BlockGrid)  # which keeps rays
-                self._begin(rays)
-                way.unpack()
+            self._begin(rays)
+            if isinstance(way, BlockGrid):
+                way.unpack() if rays.again else way.pack(rays)
             else:
-                self._pack(rays)
+                self._pack(way, rays)
         with stages.stage("setup"):
             way.choose(rays)
         with stages.stage("trace"):
@@ -65,16 +74,16 @@ class PackedGrid(Accelerator):
     def more(self, rays: Rays) -> Iterator[None]:
         """A part of the entries after the other."""
         assert isinstance(self._way, ThreadGrid)  # whose list has to hold all
-        self._pack(rays)
+        self._begin(rays)
+        self._pack(self._way, rays)
         yield from self._way.trace_parts(rays)
 
     def _begin(self, rays: Rays) -> None:
         self._buffers.tiles.lights, self._buffers.tiles.samples = len(rays.lights), self._context.samples.count
 
-    def _pack(self, rays: Rays) -> None:
-        self._begin(rays)
+    def _pack(self, way: ThreadGrid, rays: Rays) -> None:
         self._admission.admit(rays)
-        self._way.pack(rays)
+        way.pack(rays)
 
     def silent(self, light: LightFrame) -> tuple[int, int]:
         """Triangles that cast nothing, of those that were looked at."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packs the rays of a pass into tiles on CUDA; ``packed.pack_wide`` does the same on the CPU.
+"""Packs the rays of a pass into tiles on CUDA; ``pack_pieces.py`` is the way of the CPU.
 
 Two stable radix sorts: by (group, cell of u), which cuts the columns, and by (column, cell of v), which cuts the tiles.
 Then boxes, level by level. The host knows bounds of all sizes from the number of rays; threads beyond what there is
@@ -161,7 +161,7 @@ def lay_out_groups(tiles: Tiles, starts: wp.array(dtype=int)):
     block = int(0)
     for number in range(tiles.lights * FACES):
         rays = starts[number + 1] - starts[number]
-        end = column + lay_out(number, starts[number], rays, column, block, tiles)
+        end = column + lay_out(number, starts[number], rays, 1, column, block, tiles)
         for k in range(column + tiles.groups[number, COLUMNS_OF], end):
             no_column(k, tiles)
         column = end

@@ -1,11 +1,27 @@
 // needs: accelerators/light_grid/fit.h accelerators/light_grid/tile_box.h
-// constants: TILE_RAYS BLOCK_RAYS COLUMN_LOOKUP RAYS_OF LENGTH FIRST_COLUMN FIRST_BLOCK GROUP_COLUMNS
+// constants: BLOCK_RAYS COLUMN_LOOKUP RAYS_OF LENGTH FIRST_COLUMN FIRST_BLOCK GROUP_COLUMNS
 // arguments: Tiles tiles
 // Where things lie in Tiles; see tiles.py.
 struct TileMemory {
     enum { SIXTEEN_RAYS = 16 * 5, RAYS = 2 * SIXTEEN_RAYS };
-    static inline float* rays(const Tiles& tiles, int tile) { return tiles.rays.data + RAYS * (size_t)tile; }
-    static inline int* order(const Tiles& tiles, int tile) { return tiles.order.data + TILE_RAYS * (size_t)tile; }
+    // Of a piece.
+    static inline float* lanes(const Tiles& tiles, int piece) {
+        return tiles.rays.data + RAYS * (size_t)tiles.numbers.data[piece][0];
+    }
+    static inline wp::vec4 ray(const Tiles& tiles, int piece, int lane) {
+        const float* at = lanes(tiles, piece) + (lane >> 4) * SIXTEEN_RAYS + (lane & 15);
+        return wp::vec4(at[0], at[16], at[32], at[48]);
+    }
+    // The number of a ray.
+    static inline int ray_of(const Tiles& tiles, int piece, int lane) {
+        const wp::vec3i& numbers = tiles.numbers.data[piece];
+        return tiles.order.data[numbers[1] + lane] + numbers[2];
+    }
+    // Of a tile, on the CPU.
+    static inline const float* rays(const Tiles& tiles, int tile) {
+        return tiles.rays.data + RAYS * (size_t)tiles.source.data[tile][0];
+    }
+    static inline int piece(const Tiles& tiles, int tile) { return tiles.source.data[tile][1]; }
 };
 // A face of a light, and the columns of tiles on it.
 struct TileGroup {

@@ -3,11 +3,11 @@
 
 All rays of a light go into one frustum, the *aligned* one around +W, if they all have W > 0 and |U|, |V| <= 2 W (spots,
 lights outside the view, far and directional lights); else into six cube faces. On a face a ray is (u, v), the two other
-coordinates divided by the one along the face's axis. The rays of a face are sorted by u and cut into columns of equal
-numbers; the rays of each column are sorted by v and cut into tiles of 32 (sort-tile-recursive packing: Leutenegger,
-Lopez and Edgington 1997, "STR: a simple and efficient algorithm for R-tree packing"). So there is no tile without rays
-and none with many, wherever rays crowd. Tile rectangles and depth ranges are taken from the rays themselves; keys
-decide about balance only, never about coverage.
+coordinates divided by the one along the face's axis. On CUDA the rays of a face are sorted by u and cut into columns of
+equal numbers; the rays of each column are sorted by v and cut into tiles of 32 (sort-tile-recursive packing:
+Leutenegger, Lopez and Edgington 1997, "STR: a simple and efficient algorithm for R-tree packing"). So there is no tile
+without rays and none with many, wherever rays crowd. On the CPU tiles are pieces of the image (``pieces.py``). Tile
+rectangles and depth ranges are taken from the rays themselves; how these came together decides about time only.
 
 Sixteen tiles are a *block*, up to sixteen blocks a column, and columns come in sixteens: each of the three levels has
 boxes in (u, v, depth), a box of a higher level holding the rays of those below it. Boxes lie in groups of sixteen, each
@@ -58,7 +58,8 @@ ALL_BLOCKS = wp.constant(2)
 native.constants(TILE_RAYS=TILE, BLOCK_RAYS=BLOCK_RAYS, TILE_QUANTITIES=QUANTITIES, GONE=GONE, COLUMN_LOOKUP=LOOKUP)
 native.constants(FIT_BITS=FIT_BITS, FIT_CELLS=2**FIT_BITS, RAYS_OF=RAYS_OF, LENGTH=LENGTH, FIRST_COLUMN=FIRST_COLUMN)
 native.constants(U_BITS=U_BITS, V_BITS=V_BITS, U_CELLS=U_CELLS, V_CELLS=V_CELLS, TILE_PAD=TILE_PAD, FORWARD=FORWARD)
-native.constants(FIRST_BLOCK=FIRST_BLOCK, GROUP_COLUMNS=GROUP_COLUMNS, ALL_BLOCKS=ALL_BLOCKS)
+native.constants(FIRST_BLOCK=FIRST_BLOCK, GROUP_COLUMNS=GROUP_COLUMNS, ALL_BLOCKS=ALL_BLOCKS, ALL_RAYS=ALL_RAYS)
+native.constants(MOST_BLOCKS=MOST_BLOCKS)
 
 
 @wp.struct
@@ -74,8 +75,12 @@ class Tiles:
     columns: wp.array(dtype=float)  # boxes of the columns; each group of rays starts a new sixteen
     blocks: wp.array(dtype=float)  # boxes of the blocks, sixteen places per column
     boxes: wp.array(dtype=float)  # boxes of the tiles, sixteen per block
-    rays: wp.array(dtype=float)  # [tile][half][U V W Z magnitude][16]; lanes that are not ``live`` hold anything
-    order: wp.array(dtype=int)  # ray of each lane: [tile][32]
+    # [tile][half][U V W Z magnitude][16]; lanes that are not ``live`` hold anything. On the CPU by piece (pieces.py).
+    rays: wp.array(dtype=float)
+    order: wp.array(dtype=int)  # ray of each lane: [tile][32]; on the CPU see ``numbers``
+    source: wp.array(dtype=wp.vec2i)  # on the CPU, of a tile: the piece that has its lanes, and which it is
+    # and of each piece: the piece that has its lanes, where in ``order`` its rays are, and what is to be added there
+    numbers: wp.array(dtype=wp.vec3i)
     live: wp.array(dtype=int)  # of each tile: bits of the rays that are to be tested
     covered: wp.array(dtype=int)  # of each tile: whether a triangle occludes all of it
     lookup: wp.array(dtype=wp.vec2i)  # [group][cell of u]: first and last column that may touch it
@@ -83,20 +88,20 @@ class Tiles:
 
 
 @wp.func
-def column_length(rays: int, fit: wp.vec4) -> int:
-    """Rays per column of a face: a multiple of those of a block, such that tiles are about square."""
+def column_length(rays: int, across: int, fit: wp.vec4) -> int:
+    """Rays per column of a face: a multiple of those of a block, such that it is about so many square tiles wide."""
     if rays <= BLOCK_RAYS:
         return BLOCK_RAYS
     aspect = wp.clamp(fit[2] / fit[3], 0.125, 8.0)  # extent in v / extent in u
-    blocks = int(wp.sqrt(float(rays) / float(TILE) * aspect) / 16.0 + 0.5)
+    blocks = int(float(across) * wp.sqrt(float(rays) / float(TILE) * aspect) / 16.0 + 0.5)
     return BLOCK_RAYS * wp.clamp(blocks, 1, MOST_BLOCKS)
 
 
 @wp.func
-def lay_out(number: int, first_ray: int, rays: int, column: int, block: int, tiles: Tiles) -> int:
+def lay_out(number: int, first_ray: int, rays: int, across: int, column: int, block: int, tiles: Tiles) -> int:
     """Columns and blocks of group ``number``, whose rays begin at ``first_ray``, from ``column`` and ``block`` on;
     returns how many places for columns they take."""
-    length = column_length(rays, tiles.fit[number])
+    length = column_length(rays, across, tiles.fit[number])
     columns = (rays + length - 1) // length
     tiles.groups[number, FIRST_RAY] = first_ray
     tiles.groups[number, RAYS_OF] = rays
@@ -146,16 +151,20 @@ def no_column(column: int, tiles: Tiles):
 
 
 class TileBuffers:
-    """Owns the memory of the tiles of a pass."""
+    """Owns the memory of the tiles of a pass.
 
-    def __init__(self, buffers: SampleSet) -> None:
+    Args:
+        pieces: the most pieces that there may be, on the CPU.
+    """
+
+    def __init__(self, buffers: SampleSet, pieces: int = 0) -> None:
         device, rays = buffers.device, buffers.bounds.max_rays
         groups = FACES * buffers.bounds.max_lights
         # Every group may end in a column that is not full.
-        self.most_blocks = -(-rays // BLOCK_RAYS) + groups
+        self.most_blocks = max(-(-rays // BLOCK_RAYS), -(-pieces // 16)) + groups
         self.most_columns = self.most_blocks
         column_places = self.most_columns + 16 * groups
-        self.sort = KeySort(rays, device)
+        self.sort = KeySort(max(rays, pieces), device)
         self.cells = wp.empty(groups * U_CELLS, dtype=int, device=device)
         tiles = Tiles()
         tiles.fit = wp.empty(groups, dtype=wp.vec4, device=device)
@@ -165,8 +174,10 @@ class TileBuffers:
         tiles.columns = wp.empty((column_places + 15) // 16 * 16 * QUANTITIES, dtype=float, device=device)
         tiles.blocks = wp.empty(column_places * 16 * QUANTITIES, dtype=float, device=device)
         tiles.boxes = wp.empty(self.most_blocks * 16 * QUANTITIES, dtype=float, device=device)
-        tiles.rays = wp.empty(self.most_blocks * BLOCK_RAYS * 5, dtype=float, device=device)
-        tiles.order = wp.empty(self.most_blocks * BLOCK_RAYS, dtype=int, device=device)
+        tiles.rays = wp.empty((TILE * pieces or self.most_blocks * BLOCK_RAYS) * 5, dtype=float, device=device)
+        tiles.order = wp.empty(2 * TILE * pieces or self.most_blocks * BLOCK_RAYS, dtype=int, device=device)
+        tiles.source = wp.empty(self.most_blocks * 16 if pieces else 0, dtype=wp.vec2i, device=device)
+        tiles.numbers = wp.empty(pieces, dtype=wp.vec3i, device=device)
         tiles.live = wp.empty(self.most_blocks * 16, dtype=int, device=device)
         tiles.covered = wp.empty(self.most_blocks * 16, dtype=int, device=device)
         tiles.lookup = wp.empty(groups * LOOKUP, dtype=wp.vec2i, device=device)
@@ -186,5 +197,6 @@ class TileBuffers:
             tiles.boxes,
             tiles.rays,
         )
-        arrays += (self.cells, tiles.order, tiles.live, tiles.covered, tiles.lookup, tiles.counts)
+        arrays += (self.cells, tiles.order, tiles.source, tiles.numbers, tiles.live, tiles.covered)
+        arrays += (tiles.lookup, tiles.counts)
         return self.sort.nbytes() + sum(int(array.capacity) for array in arrays)

@@ -69,23 +69,25 @@ def _crowd() -> tuple[views.View, np.ndarray]:
 
 
 @cache
-def _huge() -> tuple[views.View, np.ndarray]:
-    """Triangles as large as the view, some small ones, and 18,700 rays: 19 columns and more in one frustum."""
+def _huge(width: int = 160, height: int = 130) -> tuple[views.View, np.ndarray]:
+    """Triangles as large as the view, some small ones, and 18,700 rays: on CUDA 19 columns and more in one frustum."""
     rng = np.random.default_rng(472)
     meshes = (geometry.soup(rng, 12, 4.0, 3.0), geometry.slivers(rng, 20, 8.0, 300.0), geometry.soup(rng, 60, 0.1, 2.0))
-    view = _view(160, 130, (_LIGHTS[0], _LIGHTS[2]), *meshes)
+    view = _view(width, height, (_LIGHTS[0], _LIGHTS[2]), *meshes)
     tracer = ShadowTracer("brute_force", "filtered", "cpu", Bounds(100, 41_600, 2))
     return view, _states(tracer, view)[0]
 
 
 @probe.in_both_forms
-def test_large_triangles(any_device: str) -> None:
-    view, expected = _huge()
+@pytest.mark.parametrize("width, height", [(160, 130), (16, 1280)])
+def test_large_triangles(any_device: str, kernel_form: str, width: int, height: int) -> None:
+    view, expected = _huge(width, height)
     tracer = _tracer(any_device, max_rays=41_600)
     for _ in range(2):
         np.testing.assert_array_equal(_states(tracer, view)[0], expected)
     tiles = probe_accelerators.tiles(probe.pipeline(tracer))
-    assert tiles.groups.numpy()[6 + 4, 4] > 16
+    # Sixteen columns are looked at together. Those of pieces are four times as wide.
+    assert (tiles.groups.numpy()[6 + 4, 4] > 16) == (kernel_form == "cuda_form" or width < height)
 
 
 @probe.in_cuda_form

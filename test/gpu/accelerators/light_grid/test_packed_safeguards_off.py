@@ -15,6 +15,7 @@ _GRID = "accelerators/light_grid/"
 _BOXES, _TILES, _CANDIDATES = "test_packed_boxes.py", "test_packed_tiles.py", "test_candidates.py"
 _EXACT = "../../exact/test_blocks.py"
 _TOGETHER, _KEPT = "test_together.py", "../../samples/test_kept_rays.py"
+_PIECES = "test_pieces.py"
 _BOUNDS = ("low_u", "high_u", "low_v", "high_v")
 _COVERED = "(middle[3] - reach[3] + far > plane)"
 
@@ -33,7 +34,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "a face as far as its nearest ray": (
         _CANDIDATES,
         "all_around",
-        [(_GRID + "packing16.h", "far = farthest[j] > far ? farthest[j] : far;", "far = farthest[j];")],
+        [(_GRID + "pieces16.h", "far = farthest[j] > far ? farthest[j] : far;", "far = farthest[j];")],
     ),
     "rays outside of the tiles forgotten": (
         _CANDIDATES,
@@ -99,6 +100,47 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         _TOGETHER,
         "clusters",
         [(_GRID + "entries.h", "flushes != flushed || entries", "entries")],
+    ),
+    "pieces on the first of their faces": (
+        _PIECES,
+        "brute_force",
+        [(_GRID + "pieces16.h", "if (faces & (faces - 1) || pieces.loose)", "if (faces == 0)")],
+    ),
+    "pieces in the frustum without a look": (
+        _PIECES,
+        "brute_force",
+        [(_GRID + "pieces16.h", "if (Lanes16::bits(in & ~OnFace16::ahead(ray.U, ray.V, ray.W)))", "if (piece < 0)")],
+    ),
+    "halves that both have all rays": (
+        _PIECES,
+        "edges",
+        [(_GRID + "pool16.h", "pieces.live.data[piece] & ~below;", "pieces.live.data[piece];")],
+    ),
+    "boxes of pieces of their first half": (
+        _TILES,
+        "test_one_light and frustum and sun",
+        [
+            (
+                _GRID + "pieces16.h",
+                "box.take(live(pieces, piece, half), at, at.depth(ray.Z, inverse));",
+                "if (half == 0) box.take(live(pieces, piece, half), at, at.depth(ray.Z, inverse));",
+            )
+        ],
+    ),
+    "rows that end beyond the last sample": (
+        _PIECES,
+        "in_rows or sequences",
+        [(_GRID + "image16.h", "n < there ? n : there", "n")],
+    ),
+    "points that are taken for those before": (
+        _PIECES,
+        "in_rows",
+        [(_GRID + "pieces.py", "if self._looked != samples.revision:", "if self._looked < 0:")],
+    ),
+    "halves beyond the room for them": (
+        _PIECES,
+        "no_room",
+        [(_GRID + "pool16.h", "if (other >= pieces.room)", "if (other < 0)")],
     ),
     "boxes without pads": (
         _TILES,
@@ -208,5 +250,6 @@ def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels
     tests, some, changes = _MUTANTS[mutant]
     failed = failing_tests(changes, f"accelerators/light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
-    if tests not in (_CANDIDATES, _TOGETHER, _KEPT, _EXACT):  # which only the wide form has
+    only_wide = tests in (_CANDIDATES, _TOGETHER, _KEPT, _EXACT, _PIECES) or "pieces" in mutant
+    if not only_wide:
         assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"

@@ -1,0 +1,126 @@
+// cpu
+// needs: samples/view.h accelerators/admission.h accelerators/fits.h@16 accelerators/light_grid/pieces16.h
+// constants: TILE_RAYS PIECE_ROWS SEGMENT LIT INVALID RAYS COUNTER_ROWS MAGNITUDE_FLOOR
+// arguments: LightFrame frame, Tiles tiles, Pieces pieces
+// Samples in the order of their pieces straight into lanes: rays of a light are written once, where they stay.
+struct Image16 {
+    typedef unsigned char Bytes __attribute__((ext_vector_type(16), aligned(1)));
+    enum { CHUNK = 8, MOST = SEGMENT };
+    float ray[4][PIECE_ROWS][MOST]; // U V W Z of some samples of some rows
+    wp::uint8 state[PIECE_ROWS][MOST];
+    int traced;
+
+    inline Image16() : traced(0) { memset(ray, 0, sizeof(ray)); }
+
+    // A row beyond the last.
+    inline void none(int row) { memset(state[row], INVALID, MOST); }
+    // n samples of a row: their rays and states.
+    inline void look(int row, const View& view, const wp::vec4d* samples, const wp::uint8* valid, int n,
+                     wp::uint8* states) {
+        typedef double Four[4];
+        const Four* __restrict__ sample = (const Four*)samples;
+        float u[MOST], v[MOST], w[MOST], z[MOST];
+        wp::uint8 found_state[MOST]; // bytes may alias anything
+        int rays = 0;
+        for (int j = 0; j < n; ++j) {
+            const Projected found = view.of(sample[j][0], sample[j][1], sample[j][2], sample[j][3], valid[j] != 0);
+            u[j] = found.u;
+            v[j] = found.v;
+            w[j] = found.w;
+            z[j] = found.z;
+            found_state[j] = (wp::uint8)found.state;
+            rays += found.ray;
+        }
+        memcpy(ray[0][row], u, n * sizeof(float));
+        memcpy(ray[1][row], v, n * sizeof(float));
+        memcpy(ray[2][row], w, n * sizeof(float));
+        memcpy(ray[3][row], z, n * sizeof(float));
+        none(row);
+        memcpy(state[row], found_state, n);
+        memcpy(states, found_state, n);
+        traced += rays;
+    }
+    // The lanes of a piece whose samples begin at `column`, in chunks of eight.
+    inline void put(int piece, int column, const Tiles& tiles, const Pieces& pieces, const wp::array_t<int>& wild,
+                    const wp::array_t<int>& wild_counts) const {
+        const bool one_row = pieces.rows == 1;
+        float* lanes = TileMemory::lanes(tiles, piece);
+        wp::uint8 of[TILE_RAYS];
+        for (int chunk = 0; chunk < TILE_RAYS / CHUNK; ++chunk) {
+            const int row = one_row ? 0 : chunk, from = one_row ? column + CHUNK * chunk : column;
+            float* to = lanes + (chunk >> 1) * TileMemory::SIXTEEN_RAYS + CHUNK * (chunk & 1);
+            for (int k = 0; k < 4; ++k)
+                memcpy(to + 16 * k, ray[k][row] + from, CHUNK * sizeof(float));
+            memcpy(of + CHUNK * chunk, state[row] + from, CHUNK);
+        }
+        for (int half = 0; half < 2; ++half) {
+            float* sixteen = lanes + half * TileMemory::SIXTEEN_RAYS;
+            const Lanes32 it(sixteen);
+            const Real16 floor = MAGNITUDE_FLOOR;
+            Lanes16::store(sixteen + 64,
+                           Lanes16::absolute(it.U) + Lanes16::absolute(it.V) + Lanes16::absolute(it.Z) + floor);
+        }
+        unsigned odd = admit(piece, of, tiles, pieces);
+        for (; odd; odd &= odd - 1) {
+            const int lane = __builtin_ctz(odd), number = TileMemory::ray_of(tiles, piece, lane);
+            pieces.rays.data[number] = TileMemory::ray(tiles, piece, lane);
+            Admission::list(number, wild, wild_counts);
+        }
+    }
+    // The same for points in no order, whose rays stay in that of their numbers.
+    inline void leave(int piece, int column, int n, const Tiles& tiles, const Pieces& pieces,
+                      const wp::array_t<int>& wild, const wp::array_t<int>& wild_counts) const {
+        typedef float Four[4];
+        const int first = TileMemory::ray_of(tiles, piece, 0);
+        Four* to = (Four*)(pieces.rays.data + first);
+        for (int j = 0; j < n; ++j)
+            for (int k = 0; k < 4; ++k)
+                to[j][k] = ray[k][0][column + j];
+        for (unsigned odd = admit(piece, state[0] + column, tiles, pieces); odd; odd &= odd - 1)
+            Admission::list(first + __builtin_ctz(odd), wild, wild_counts);
+    }
+    // Which rays of a piece take part, and as bits those of them that are wild.
+    static inline unsigned admit(int piece, const wp::uint8* of, const Tiles& tiles, const Pieces& pieces) {
+        unsigned live = 0, odd = 0;
+        for (int half = 0; half < 2; ++half) {
+            const Lanes32 it = Lanes32::of(tiles, pieces, piece, half);
+            const Mask16 lit = __builtin_convertvector(*(const Bytes*)(of + 16 * half) == (unsigned char)LIT, Mask16);
+            const Mask16 some = lit & (it.U == it.U), fits = Fits16::of(it.U, it.V, it.W, it.Z);
+            live |= (unsigned)Lanes16::bits(some & fits) << 16 * half;
+            odd |= (unsigned)Lanes16::bits(some & ~fits) << 16 * half;
+        }
+        pieces.live.data[piece] = (int)live;
+        return odd;
+    }
+    // A segment of a light: pieces side by side, of up to MOST samples of each of their rows.
+    static inline void segment(int number, int place, const LightFrame& frame, int inverse, int counted,
+                               const wp::array_t<wp::vec4d>& samples, const wp::array_t<wp::uint8>& valid,
+                               const wp::array_t<wp::uint8>& states, const wp::array_t<int>& wild,
+                               const wp::array_t<int>& wild_counts, const Tiles& tiles, const Pieces& pieces,
+                               const wp::array_t<wp::int64>& counters) {
+        Image16 it;
+        const View view(frame);
+        const int rows = pieces.rows, wide = TILE_RAYS / rows, beside = (pieces.width + MOST - 1) / MOST;
+        const int strip = number / beside, x = MOST * (number - beside * strip), top = rows * strip;
+        const int left = pieces.width - x, n = left < MOST ? left : MOST;
+        for (int row = 0; row < rows; ++row) {
+            const size_t at = (size_t)(top + row) * pieces.width + x;
+            const int there = tiles.samples - (int)at;
+            if (there <= 0)
+                it.none(row);
+            else
+                it.look(row, view, samples.data + at, valid.data + at, n < there ? n : there,
+                        states.data + (size_t)place * tiles.samples + at);
+        }
+        const int first = place * pieces.of_light + strip * pieces.across + x / wide, count = (n + wide - 1) / wide;
+        for (int k = 0; k < count; ++k)
+            if (pieces.loose)
+                it.leave(first + k, wide * k, n - wide * k < wide ? n - wide * k : wide, tiles, pieces, wild,
+                         wild_counts);
+            else
+                it.put(first + k, wide * k, tiles, pieces, wild, wild_counts);
+        Pieces16::more(place, inverse != 0, first, first + count, tiles, pieces);
+        if (counted == 0)
+            counters.data[(number & (COUNTER_ROWS - 1)) * counters.shape[1] + RAYS] += it.traced;
+    }
+};
