@@ -6,7 +6,8 @@ Ours is the whole of ``ShadowTracer.trace``, from depth image to bits; a peer's 
 there. Our bits must be equal, or the program stops; of a peer the samples that differ are counted.
 
 A light's size is half a panel's side, or a sphere's radius, in parts of the diagonal of the box around the samples.
-*fixture*: the panel below a dome of triangles that casts shadow. *one hard light* is its middle by ``light_grid``.
+*fixture*: the panel below a dome of triangles that casts shadow; *ignored*: the dome is there, and the light ignores it
+(peers have a scene without it). *one hard light* is its middle by ``light_grid``.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import argparse
 import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -98,7 +98,8 @@ def _light(kind: str, view: View, radius: float) -> AreaLight:
     at = view.light.position
     if kind == "sphere":
         return SphereLight("light", at, radius, samples=64)
-    return RectangleLight("light", at, (radius, 0.0, 0.0), (0.0, 0.0, radius), two_sided=True)
+    ignore = ("dome",) if kind == "ignored" else ()
+    return RectangleLight("light", at, (radius, 0.0, 0.0), (0.0, 0.0, radius), two_sided=True, ignore=ignore)
 
 
 def installed(vertices: np.ndarray, triangles: np.ndarray) -> list[Peer]:
@@ -118,15 +119,20 @@ def measure(view: View, kind: str, percent: float, turns: int) -> dict[str, Any]
     rays = FrameRays(shot, [view.light], view.bias)
     diagonal = float(np.linalg.norm(np.ptp(rays.points, axis=0)))
     radius = diagonal * percent / 100.0
-    light = _light("panel" if kind == "fixture" else kind, view, radius)
+    light = _light(kind, view, radius)
     vertices, triangles = view.positions[0], view.triangles
+    meshes = {"mesh": (vertices, triangles)}
+    if kind in ("fixture", "ignored"):
+        meshes["dome"] = _dome(np.asarray(view.light.position), 1.6 * radius)
     if kind == "fixture":
-        more, faces = _dome(np.asarray(view.light.position), 1.6 * radius)
+        more, faces = meshes["dome"]
         vertices, triangles = np.concatenate([vertices, more]), np.concatenate([triangles, faces + len(vertices)])
-    bounds = Bounds(max_triangles=len(triangles), max_rays=shot.depth.size, max_lights=8)
+    count = sum(len(faces) for _, faces in meshes.values())
+    bounds = Bounds(max_triangles=count, max_rays=shot.depth.size, max_lights=8)
     tracers = {name: ShadowTracer(*name.split("/"), device="cpu", bounds=bounds, threads=1) for name in _OURS}
     for tracer in tracers.values():
-        tracer.scene.put("mesh", vertices, triangles)
+        for name, mesh in meshes.items():
+            tracer.scene.put(name, *mesh)
     peers = installed(vertices, triangles)
     hard = PointLight("light", view.light.position)
     spent: dict[str, list[float]] = {name: [] for name in (*_OURS, *(peer.name for peer in peers), "hard")}
@@ -162,12 +168,13 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=512, help="image width and height [px]")
     parser.add_argument("--views", nargs="+", default=list(VIEWS), metavar="VIEW")
     parser.add_argument("--sizes", nargs="+", type=float, default=[1, 5, 10, 20], help="per cent of the view")
-    parser.add_argument("--kinds", nargs="+", default=["panel"], choices=["panel", "sphere", "fixture"])
+    parser.add_argument("--kinds", nargs="+", default=["panel"], choices=["panel", "sphere", "fixture", "ignored"])
     parser.add_argument("--turns", type=int, default=3, help="of which the median is given")
-    parser.add_argument("--json", type=Path, help="a file for the rows")
+    parser.add_argument("--json", help="a file for the rows")
     options = parser.parse_args()
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    header("lights of 64 points beside 64 rays per sample [ms]")
+    title = "lights of 64 points beside 64 rays per sample [ms]"
+    header(title)
     rows = []
     for view in views(options.size, options.views):
         for percent in options.sizes:
@@ -175,8 +182,7 @@ def main() -> None:
                 rows.append(measure(view, kind, percent, options.turns))
                 print(rows[-1], flush=True)
     table(rows)
-    if options.json:
-        write_json(options.json, {"rows": rows})
+    write_json(title, rows, options.json)
 
 
 if __name__ == "__main__":

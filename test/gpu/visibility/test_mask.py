@@ -267,6 +267,24 @@ def test_points_of_large_lights_are_traced_apart(any_device: str, names: str, mo
         assert not any(entries)
 
 
+@pytest.mark.parametrize("names", ["bvh/sah", "mesh_bvh/refit"])
+def test_points_where_another_light_has_its_middle(
+    any_device: str, names: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever traces them apart makes its own of them, though the other pipeline has made records of the same light."""
+    monkeypatch.setattr(area_lights, "PILOT", 8)
+    monkeypatch.setattr(area_lights, "ray_cost", lambda *_: 0.0)
+    disc = DiscLight("d", (0.5, -1.0, 1.5), (0.0, 1.0, 0.25), 0.5, samples=9)
+    ball = SphereLight("s", disc.points[1], 0.25, samples=5)
+    tracer, oracle = _tracer(names, any_device), _tracer("light_grid/packed", any_device)
+    for each in (tracer, oracle):
+        each.scene.put("soup", *_MESHES["soup"])
+    for _ in range(2):
+        frames = [each.trace(_depth(), _CAMERA, [disc, ball], Bias(0.02)) for each in (tracer, oracle)]
+        for name in ("d", "s"):
+            np.testing.assert_array_equal(*[frame.light_bits(name) for frame in frames])
+
+
 def test_the_pilot_is_spread_over_the_image(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its samples are those of no column, and one in about so many."""
     tracer = _tracer("mesh_bvh/refit", any_device)
