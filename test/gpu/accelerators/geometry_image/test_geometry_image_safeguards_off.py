@@ -27,7 +27,7 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "quads with three corners are none": ("some_corners", [(_BOX, "valid >= 3", "valid == 4")]),
     "quads are looked at from one side of the diagonal": (
         "folded",
-        [(_QUAD, "query.tests += 2", "possible &= across.value > 0.0 ? 1 : 2;\n            query.tests += 2")],
+        [(_QUAD, "query.tests += 2 -", "possible &= across.value > 0.0 ? 1 : 2;\n            query.tests += 2 -")],
     ),
     "the diagonal seen from the same side twice": ("terrain", [(_QUAD, "across.back()", "across")]),
     "one triangle of a quad": ("terrain", [(_QUAD, "k < 2", "k < 1")]),

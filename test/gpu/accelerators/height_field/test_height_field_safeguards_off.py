@@ -147,7 +147,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "suns or biases",
         [(_PROFILE, "there & clear & (level >", "there & (level >")],
     ),
-    "no diagonals": (_SWEPT, "suns or every_way", [(_PROFILE, "active & (one * two < 0.0)", "active & 0")]),
+    "no diagonals": (_SWEPT, "suns or every_way", [(_PROFILE, "some & (one * two < 0.0)", "some & 0")]),
     "diagonals as if nothing were mirrored": (
         _SWEPT,
         "suns or every_way",
