@@ -124,7 +124,7 @@ class Traits:
     queries: tuple[Query, ...] = (ANY_HIT,)
     # Where triangles are judged one by one, each takes 0.07 us in a bundle to 8 points and 0.12 in one to 64; a ray
     # 0.12 to 0.25 us (mesh_bvh: BART robots, conference, the red kitchen, a room of texels).
-    bundle_costs: tuple[float, float, float] = (0.0, 63.0, 0.9)
+    bundle_costs: tuple[float, float, float] = (0.0, 50.0, 0.9)
     ray_costs: tuple[float, float, float] = (150.0, 0.0, 0.0)
 
 
