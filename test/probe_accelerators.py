@@ -122,7 +122,7 @@ def pieces_made(grid: Any) -> int:
 
 def kept_live(grid: Any, count: int) -> np.ndarray:
     """(count, 32) bool: the rays of each tile before the last frame was traced."""
-    bits = grid._way._kept[0].numpy()[:count, None].view(np.uint32)
+    bits = grid._way._kept[0][:count, None].view(np.uint32)
     found: np.ndarray = (bits >> np.arange(32, dtype=np.uint32)) & 1
     return found.astype(bool)
 

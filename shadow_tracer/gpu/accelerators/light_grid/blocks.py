@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.accelerators.admission import Admission
@@ -57,10 +60,11 @@ class BlockGrid:
         self._clusters = wp.empty(bounds.max_triangles // CLUSTER + bounds.max_lights, dtype=int, device=device)
         self._faces = wp.empty(len(self._clusters), dtype=wp.uint8, device=device)
         self._ends = wp.zeros(bounds.max_lights, dtype=int, device=device)
-        # What tracing changes of the tiles.
-        self._changing = (buffers.tiles.live, buffers.tiles.boxes)
+        # What tracing changes of the tiles, as the host sees it.
+        self._changing = [array.numpy() for array in (buffers.tiles.live, buffers.tiles.boxes)]
         self._pieces = PieceBuffers(context.samples, buffers)
-        self._kept = tuple(wp.empty_like(array) for array in self._changing)
+        self._kept = [np.empty_like(array) for array in self._changing]
+        self._counts = buffers.tiles.counts.numpy()
 
     def follow(self) -> None:
         self._candidates.follow()
@@ -101,10 +105,10 @@ class BlockGrid:
         """Tiles as they were before they were traced."""
         self._copy(self._changing, self._kept)
 
-    def _copy(self, to: tuple[wp.array, ...], of: tuple[wp.array, ...]) -> None:
-        blocks = int(self._buffers.tiles.counts.numpy()[ALL_BLOCKS])
+    def _copy(self, to: Sequence[npt.NDArray[Any]], of: Sequence[npt.NDArray[Any]]) -> None:
+        blocks = int(self._counts[ALL_BLOCKS])
         for one, other, size in zip(to, of, (16, 16 * QUANTITIES), strict=True):
-            one.numpy()[: size * blocks] = other.numpy()[: size * blocks]
+            one[: size * blocks] = other[: size * blocks]
 
     def choose(self, rays: Rays) -> None:
         samples, scene, wild = self._context.samples, self._context.scene, self._admission.counts
@@ -142,5 +146,6 @@ class BlockGrid:
         entries = self._entries
         arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
         arrays += (entries.visited, entries.masks, entries.records, entries.first)
-        arrays += (self._clusters, self._faces, self._ends, *self._kept)
-        return self._pieces.nbytes() + sum(int(array.capacity) for array in arrays)
+        arrays += (self._clusters, self._faces, self._ends)
+        kept = sum(array.nbytes for array in self._kept)
+        return self._pieces.nbytes() + kept + sum(int(array.capacity) for array in arrays)

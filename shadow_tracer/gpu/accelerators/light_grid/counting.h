@@ -3,15 +3,24 @@
 // arguments: Tiles tiles
 // Sorting by (group, cell of u) and then, within columns, by the cell of v: of the rays of a pool, and of pieces.
 struct Counting {
+    static inline bool any(const Tiles& tiles, int number) { return tiles.fit.data[number][2] != 0.0f; }
+    static inline void clear(const Tiles& tiles, const wp::array_t<int>& cells) {
+        memset(cells.data, 0, FACES * tiles.lights * U_CELLS * sizeof(int));
+    }
     // What lies in the order of (group, cell of u), within a cell in that it came in: so a column is a range. It comes
     // behind the first `count` elements of `keys` (then the cell of v) and `order`; cells: how many there are in each.
     static inline void gather(int count, const Tiles& tiles, const wp::array_t<int>& cells,
                               const wp::array_t<int>& keys, const wp::array_t<int>& order) {
         int sum = 0;
-        for (int k = 0; k < FACES * tiles.lights * U_CELLS; ++k) {
-            const int here = cells.data[k];
-            cells.data[k] = sum;
-            sum += here;
+        for (int number = 0; number < FACES * tiles.lights; ++number) {
+            int* cell = cells.data + U_CELLS * number;
+            for (int k = 0; k < U_CELLS && any(tiles, number); ++k) {
+                const int here = cell[k];
+                cell[k] = sum;
+                sum += here;
+            }
+            if (!any(tiles, number))
+                cell[U_CELLS - 1] = sum;
         }
         for (int i = 0; i < count; ++i) {
             const int key = keys.data[i], to = count + cells.data[key >> V_BITS]++;

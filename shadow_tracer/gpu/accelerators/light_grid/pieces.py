@@ -25,6 +25,7 @@ import warp as wp
 
 from shadow_tracer.gpu.accelerators.light_grid.tiles import TILE, TileBuffers
 from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.exact.light_space import FACES
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 
@@ -110,7 +111,7 @@ class PieceBuffers:
 
     def __init__(self, samples: SampleSet, tiles: TileBuffers) -> None:
         device, bounds = samples.device, samples.bounds
-        self._samples, self._tiles = samples, tiles
+        self._samples, self._tiles, self._launch = samples, tiles, Launches(device)
         most = most_pieces(bounds.max_rays, bounds.max_lights)
         pieces = Pieces()
         pieces.room, pieces.pool_order = most - int(FACES) * bounds.max_lights, TILE * most
@@ -135,7 +136,8 @@ class PieceBuffers:
         if self._looked != samples.revision:
             self._looked, self._row = samples.revision, 0
             if samples.count > 4 * _LEAST_ROW:
-                wp.launch(find_rows, dim=1, inputs=[samples.count, samples.positions, self._rows], device="cpu")
+                inputs = [samples.count, samples.positions, self._rows]
+                self._launch(find_rows, (samples.count,), lambda: (1, inputs))
                 self._row = int(self._rows.numpy()[0])
         return self._row
 
