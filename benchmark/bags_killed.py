@@ -39,6 +39,9 @@ from shadow_tracer.ros.wire.cdr_markers import DELETE, MarkerMessage, encode_mar
 PROGRAM = (sys.executable, "-m", "shadow_tracer.apps.cli")
 IMAGES, SIZE = 40, (64, 48)
 HERE = "127.0.0.1"
+SELDOM = {  # as docs/fleet.md advises
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms", "DASK_DISTRIBUTED__WORKER__MEMORY__MONITOR_INTERVAL": "1s",
+}  # fmt: skip
 QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
 
@@ -92,7 +95,7 @@ class Cluster:
         if name == "scheduler":
             module, arguments = "distributed.cli.dask_scheduler", ["--host", HERE, "--port", str(self._port)]
         command = [sys.executable, "-m", module, *arguments, "--no-dashboard"]
-        self._processes[name] = subprocess.Popen(command, **QUIET)
+        self._processes[name] = subprocess.Popen(command, env={**os.environ, **SELDOM}, **QUIET)
 
     @property
     def names(self) -> list[str]:

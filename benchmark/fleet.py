@@ -99,6 +99,7 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--compressed", action="store_true", help="chunks by zstd")
     parser.add_argument("--frames", type=int, default=100, help="of a window")
+    parser.add_argument("--cases", type=int, nargs="*", default=[0, 1, 2, 3], help="numbers from 0")
     parser.add_argument("--json", help="file to write")
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -111,6 +112,7 @@ def main() -> int:
             **{f"bags --jobs {jobs}": ["bags", *engine, "--jobs", str(jobs)] for jobs in (1, 2)},
             "bags --engine dask": ["bags", *engine, "--engine", "dask", "--scheduler"],
         }
+        cases = {name: command for number, (name, command) in enumerate(cases.items()) if number in chosen.cases}
         found: dict[str, list[tuple[float, float]]] = {name: [] for name in cases}
         answers = set()
         for _ in range(chosen.rounds):
@@ -133,8 +135,8 @@ def main() -> int:
             "wall [s/GB]": walls[name] / chosen.gigabytes,
             "processor [s]": spent[name],
             "processor [s/GB]": spent[name] / chosen.gigabytes,
-            "efficiency": walls[one] / walls[name] / (1 if name in ("bag", one) else 2),
-            "efficiency by processor": spent[one] / spent[name],
+            "efficiency": walls.get(one, np.nan) / walls[name] / (1 if name in ("bag", one) else 2),
+            "efficiency by processor": spent.get(one, np.nan) / spent[name],
             "planning, of processor [%]": 100.0 * plan / spent[name],
         }
         for name in cases

@@ -15,6 +15,11 @@ J = TypeVar("J")
 R = TypeVar("R")
 PATIENCE = 300.0  # seconds for which a scheduler may be away
 _CONNECT = 10.0
+# A cluster looks after itself so often that scheduler and two idle workers keep a tenth of a core busy.
+_SELDOM = {
+    "distributed.admin.tick.interval": "500ms", "distributed.admin.system-monitor.interval": "5s",
+    "distributed.worker.memory.monitor-interval": "1s", "distributed.worker.profile.enabled": False,
+}  # fmt: skip
 _LOOK = 5.0  # seconds after which it is asked whether the scheduler still knows the jobs
 
 
@@ -45,6 +50,7 @@ def run_dask(
     Raises:
         OSError: there is no scheduler, or it stayed away.
     """
+    import dask
     from distributed import LocalCluster
 
     left = [(job, 0) for job in jobs]
@@ -54,9 +60,12 @@ def run_dask(
         )
         return
     # 127.0.0.1: nobody else is to be served.
-    with LocalCluster(
-        n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-    ) as cluster:
+    with (
+        dask.config.set(_SELDOM),
+        LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+        ) as cluster,
+    ):
         where = {"address": cluster.scheduler_address}
         _with_scheduler(work, left, where, retries, good, known, done)
 
