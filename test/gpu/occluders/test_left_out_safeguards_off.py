@@ -28,7 +28,7 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     ),
     "left out for one batch with another": (
         "not_see and (brute or linear or packed)",
-        [("visibility/light_points.py", " and self._ignored(end) == ignored", "")],
+        [("visibility/light_points.py", "self._kind(end) == kind", "self._kind(end)[1:] == kind[1:]")],
     ),
 }
 
