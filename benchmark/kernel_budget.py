@@ -46,9 +46,9 @@ EXCEPTIONS = {
     # The signs of determinants, exactly.
     "visibility.queue/decide_queue": Budget(88, 960, reason=_EXACT),
     "visibility.queue/decide_open": Budget(88, 960, reason=_EXACT),
-    "accelerators.brute_force.brute_force/test_all_float64": Budget(84, 960, reason="the oracle: " + _EXACT),
+    "accelerators.brute_force.brute_force/test_all_float64": Budget(96, 960, reason="the oracle: " + _EXACT),
     "exact.records/prepare_triangles": Budget(104, 1024, reason="float64 planes, and " + _EXACT),
-    "accelerators.camera_grid.hit/trace_pixels": Budget(104, 896, reason="decides ties in place: " + _EXACT),
+    "accelerators.camera_grid.hit/trace_pixels": Budget(112, 896, reason="decides ties in place: " + _EXACT),
     # Triangles against tiles, boxes or cones.
     "accelerators.light_grid.binning/bin_triangles": Budget(
         88, 160, reason="a triangle's corners and planes, indexed by face axis"
@@ -68,12 +68,12 @@ EXCEPTIONS = {
     "accelerators.bvh.mesh_bvh.mask/walk_binary_tree_mask_1": Budget(232, 1344, reason=_MASK),
     "accelerators.bvh.mesh_bvh.closest/walk_binary_tree_closest_1": Budget(144, 1216, reason=_CLOSEST),
     "accelerators.bvh.tree.mask/walk_pairs_mask_1": Budget(212, 1360, reason=_MASK),
-    "accelerators.bvh.tree.mask/walk_threaded_mask_1": Budget(212, 1088, reason=_MASK),
+    "accelerators.bvh.tree.mask/walk_threaded_mask_1": Budget(216, 1088, reason=_MASK),
     "accelerators.bvh.tree.closest/walk_pairs_closest_1": Budget(144, 1168, reason=_CLOSEST),
     "accelerators.bvh.tree.closest/walk_threaded_closest_1": Budget(136, 896, reason=_CLOSEST),
     "accelerators.bvh.tree.any_hit/walk_pairs_any_hit_1": Budget(68, 264, reason="a stack of 60 nodes"),
     "accelerators.bvh.tree.cone_outcomes/find_outcomes": Budget(168, 3200, reason=_CONES + _SHEET),
-    "accelerators.bvh.tree.cone_hits/find_hits": Budget(168, 2592, reason=_CONES),
+    "accelerators.bvh.tree.cone_hits/find_hits": Budget(168, 2616, reason=_CONES),
     "accelerators.kd_tree.splitting.cone_outcomes/find_outcomes": Budget(176, 2912, reason=_CONES + _SHEET),
     "accelerators.kd_tree.splitting.cone_hits/find_hits": Budget(176, 2416, reason=_CONES),
     "accelerators.brute_force.brute_force.cone_outcomes/find_outcomes": Budget(184, 1464, reason=_CONES + _SHEET),
@@ -82,7 +82,7 @@ EXCEPTIONS = {
         224, 2024, reason="bins of triangles along three axes, one node a thread; once per topology"
     ),
     "accelerators.bvh.build/build_tree": Budget(224, 2576, reason=_CPU),
-    "accelerators.uniform_grid.uniform_grid.closest/walk_cells_closest_1": Budget(112, 1104, reason=_CLOSEST),
+    "accelerators.uniform_grid.uniform_grid.closest/walk_cells_closest_1": Budget(114, 1104, reason=_CLOSEST),
     "accelerators.brute_force.brute_force.closest/walk_every_triangle_closest_1": Budget(104, 896, reason=_CLOSEST),
     "accelerators.bvh.mesh_bvh.any_hit/walk_binary_tree_any_hit_1": Budget(66, 288, reason="a stack of 64 nodes"),
     "accelerators.uniform_grid.uniform_grid.any_hit/walk_cells_any_hit_1": Budget(
@@ -92,15 +92,15 @@ EXCEPTIONS = {
         64, 288, reason="sixteen mailboxes, and a place in each of three grids"
     ),
     "accelerators.height_field.charts.in_place/walk_down_in_place_1": Budget(
-        144, 1312, reason="float64: a ray in a chart, and " + _EXACT
+        144, 1320, reason="float64: a ray in a chart, and " + _EXACT
     ),
     "accelerators.height_field.sweep/look_at_rays": Budget(96, reason="float64: a ray's way over a terrain"),
     "accelerators.geometry_image.images.in_place/walk_threaded_in_place_1": Budget(
-        132, 1312, reason="float64: five planes of a quad, a triangle's own ones, and " + _EXACT
+        132, 1328, reason="float64: five planes of a quad, a triangle's own ones, and " + _EXACT
     ),
     "accelerators.height_field.charts/place_positions": Budget(104, reason="float64: a chart's rows and a position"),
-    "accelerators.silent/count_silent": Budget(64, 696, reason=_EXACT),
-    "accelerators.height_field.silent/count_in_sun": Budget(64, 696, reason=_EXACT),
+    "accelerators.silent/count_silent": Budget(64, 704, reason=_EXACT),
+    "accelerators.height_field.silent/count_in_sun": Budget(64, 704, reason=_EXACT),
     "accelerators.hierarchical_grid.nesting/choose_step": Budget(184, reason="one thread adds up rows"),
     "accelerators.hierarchical_grid.nesting/count_needed": Budget(
         112, reason="float64: a triangle's cells in two grids, and in the one that is planned"

@@ -13,6 +13,8 @@ struct Decision : Determinant {
         // through the light and an edge. One call in a loop that stays a loop, or compilers inline the expansion
         // arithmetic five times.
         double value[5];
+        // The bias compares values of the first two, which must not be roundings.
+        const double least = bias > 0.0 ? 0x1p-20 : 1.0e-15;
         int light_side = 0, exact_used = 0;
 #pragma unroll 1
         for (int question = 0; question < 5; ++question) {
@@ -21,7 +23,7 @@ struct Decision : Determinant {
             const wp::vec3d r = question < 2 ? v[1] : p;
             const wp::vec3d s = question < 2 ? v[2] : v[(k + 1) % 3];
             const wp::vec3d o = question < 2 ? v[0] : v[k];
-            const int side = sign(from, r, s, o, value[question], exact_used);
+            const int side = sign(from, r, s, o, value[question], exact_used, question < 2 ? least : 1.0e-15);
             if (question == 0)
                 light_side = side;
             if (question == 0 ? side == 0 : question == 1 ? side * light_side >= 0 : side * light_side > 0)

@@ -71,9 +71,9 @@ struct Expansion : Arithmetic {
 };
 struct Determinant : Arithmetic {
     // Sign of det[q - w*o, r - o, s - o]; value is its float64 approximation, exact_used counts what float64 alone
-    // could not tell.
+    // could not tell. Where the value is to be right as well, to a relative 9e-16 / least, `least` is above 1e-15.
     static inline int sign(const wp::vec4d& q, const wp::vec3d& r, const wp::vec3d& s, const wp::vec3d& o,
-                           double& value, int& exact_used) {
+                           double& value, int& exact_used, double least = 1.0e-15) {
         double m[3][3];
         for (int k = 0; k < 3; ++k) {
             m[0][k] = q[3] != 0.0 ? sub(q[k], o[k]) : q[k];
@@ -89,16 +89,16 @@ struct Determinant : Arithmetic {
             permanent = add(permanent, mul(absolute(m[0][k]), add(absolute(ij), absolute(ji))));
         }
         // 8 roundings per term (3 differences, 2 products, 1 subtraction, 2 additions) are 8.9e-16 of the permanent.
-        if (absolute(value) > mul(1.0e-15, permanent))
+        if (absolute(value) > mul(least, permanent))
             return value > 0.0 ? 1 : -1;
         if (permanent == 0.0)
             return 0;
         exact_used += 1;
-        return exactly(q, r, s, o, m);
+        return exactly(q, r, s, o, m, value);
     }
     // Few pairs come here: not inlined, so that the others need fewer registers.
     static __attribute__((noinline)) int exactly(const wp::vec4d& q, const wp::vec3d& r, const wp::vec3d& s,
-                                                 const wp::vec3d& o, const double (&m)[3][3]) {
+                                                 const wp::vec3d& o, const double (&m)[3][3], double& value) {
         double tail[3][3];
         for (int k = 0; k < 3; ++k) {
             const double origin = o[k];
@@ -135,6 +135,9 @@ struct Determinant : Arithmetic {
                 }
             }
         }
+        value = 0.0;
+        for (int i = 0; i < sum.n; ++i)
+            value = add(value, sum.h[i]);
         if (sum.n == 0)
             return 0;
         return sum.h[sum.n - 1] > 0.0 ? 1 : -1;

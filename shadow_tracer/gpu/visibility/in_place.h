@@ -74,8 +74,7 @@ struct InPlace1 {
         // The biased start is not behind it, if the light is farther off than that, and the sample nearer.
         const double bias = sample()[3], length = sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
         return bias > 0.0
-               && (fabs(here) + reach) * (length - (bounded ? bias : 0.0))
-                      <= 0.999999999999 * bias * (fabs(there) - off);
+               && (fabs(here) + reach) * (length - (bounded ? bias : 0.0)) <= 0.99999999 * bias * (fabs(there) - off);
     }
     // Shows a triangle; true if it hides the ray.
     inline bool visit(int triangle) {

@@ -41,8 +41,8 @@ is said:
 
 With a bias the ray begins at the sample all the same: a clear one is lit whatever the bias is. The first place where it
 is said to be above or below is at or behind the biased start, so the point in between is behind that. But the exact
-decision compares ``abs(A) m`` and ``bias abs(D)`` as float64 gives them, which means nothing where the triangle is
-nearly in the ray's way. So with a bias nothing is hidden by *above* or *below*, which know nothing of the triangle.
+decision compares ``abs(A) m`` and ``bias abs(D)`` of a triangle, which are right to a relative 1e-9 only. So with a
+bias nothing is hidden by *above* or *below*, which know nothing of the triangle.
 Within a strip the difference goes from above ``_PAD`` to below ``-_PAD`` on one triangle: then A and D are off, as
 heights, by 2^-50 of lengths, and the point is at least ``_PAD`` behind the bias.
 

@@ -221,7 +221,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "a larger bias than there is": (
         _SWEPT,
         "biases",
-        [("visibility/in_place.h", "0.999999999999 * bias", "2.0 * bias")],
+        [("visibility/in_place.h", "0.99999999 * bias", "2.0 * bias")],
     ),
     "edges that float64 is sure of": (
         _SWEPT,
