@@ -41,6 +41,7 @@ IMAGES, SIZE = 40, (64, 48)
 HERE = "127.0.0.1"
 SELDOM = {  # as docs/fleet.md advises
     "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms", "DASK_DISTRIBUTED__WORKER__MEMORY__MONITOR_INTERVAL": "1s",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
 }  # fmt: skip
 QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
