@@ -101,7 +101,7 @@ struct MaskFilter {
         third.put(forms[2], per_band, third.value);
         plane.put(forms[3], per_both, plane.value - w * off);
     }
-    // Of one that is told: which points are surely hidden and which may be, as bits, of sixteen in a row all or none.
+    // Of one: which points are surely hidden and which may be, as bits, of sixteen in a row all or none.
     // offsets: MOST along each axis; wanted: those that are asked about, as bits.
     inline void points(int triangle, const float* offsets, wp::uint64 wanted, wp::uint64& sure,
                        wp::uint64& maybe) const {
