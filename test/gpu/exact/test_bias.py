@@ -9,7 +9,7 @@ import oracle
 import probe
 import pytest
 
-from shadow_tracer import Bounds, DirectionalLight, HeightField, ShadowTracer, available_pipelines
+from shadow_tracer import Bounds, DirectionalLight, HeightField, PointLight, ShadowTracer, available_pipelines
 from shadow_tracer.scene.surface import organised
 
 pytestmark = probe.in_both_forms
@@ -35,4 +35,23 @@ def test_a_ray_along_a_triangle_that_ends_before_the_bias(any_device: str, pipel
     tracer.scene.put_surface("ground", field)
     for bias in (0.5, 2.0, 3.0):
         expected = oracle.occluded_exact(points, light, surface.vertices, surface.triangles(), bias)
+        assert np.array_equal(tracer.occluded(points, light, bias), expected), bias
+
+
+@pytest.mark.parametrize("height", [3e-15, 4e-14, 6e-14, 3e-12])
+@pytest.mark.parametrize("pipeline", available_pipelines())
+def test_lights_and_samples_all_but_in_the_plane(any_device: str, pipeline: str, height: float) -> None:
+    """A light and samples on the two sides of a triangle, by so little: what of the ray is behind the plane is about
+    as long as the bias, and float64 alone says it to no digit, to two, or to four."""
+    rng = np.random.default_rng(521)
+    plane = np.array([[2.0, 3.0, 6.0], [3.0, -6.0, 2.0], [6.0, 2.0, -3.0]]) / 7.0  # two ways in it, and its normal
+    middle = np.array([3.7, -2.9, 5.3])
+    corners = np.array([[-4.0, -3.0], [5.0, -3.0], [0.0, 6.0]]) @ plane[:2] + middle
+    points = rng.uniform(-1.2, 1.2, (150, 2)) @ plane[:2] + rng.uniform(0.2, 3.0, (150, 1)) * height * plane[2] + middle
+    light = PointLight("lamp", tuple(middle - height * plane[2]))
+    tracer = ShadowTracer(pipeline, device=any_device, bounds=Bounds(max_triangles=10, max_rays=200), threads=1)
+    tracer.scene.put("sheet", corners, np.array([[0, 1, 2]]))
+    for bias in (0.2, 0.4):
+        expected = oracle.occluded_exact(points, light, corners, np.array([[0, 1, 2]]), bias)
+        assert 0.1 < expected.mean() < 0.9
         assert np.array_equal(tracer.occluded(points, light, bias), expected), bias
