@@ -46,8 +46,9 @@ def test_lights_and_samples_all_but_in_the_plane(any_device: str, pipeline: str,
     rng = np.random.default_rng(521)
     plane = np.array([[2.0, 3.0, 6.0], [3.0, -6.0, 2.0], [6.0, 2.0, -3.0]]) / 7.0  # two ways in it, and its normal
     middle = np.array([3.7, -2.9, 5.3])
-    corners = np.array([[-4.0, -3.0], [5.0, -3.0], [0.0, 6.0]]) @ plane[:2] + middle
-    points = rng.uniform(-1.2, 1.2, (150, 2)) @ plane[:2] + rng.uniform(0.2, 3.0, (150, 1)) * height * plane[2] + middle
+    corners = np.array([u * plane[0] + v * plane[1] for u, v in ((-4.0, -3.0), (5.0, -3.0), (0.0, 6.0))]) + middle
+    u, v = rng.uniform(-1.2, 1.2, (2, 150, 1))
+    points = (u * plane[0] + v * plane[1]) + rng.uniform(0.2, 3.0, (150, 1)) * height * plane[2] + middle
     light = PointLight("lamp", tuple(middle - height * plane[2]))
     tracer = ShadowTracer(pipeline, device=any_device, bounds=Bounds(max_triangles=10, max_rays=200), threads=1)
     tracer.scene.put("sheet", corners, np.array([[0, 1, 2]]))
