@@ -56,7 +56,7 @@ class _Ours:
         if name.endswith("single"):
             from shadow_tracer.gpu.accelerators.bvh.bvh import SINGLE
 
-            walker: Any = self._tracer._engine.inside._pipeline
+            walker: Any = self._tracer._engine.inside._bands[0].pipeline
             walker.build.walk = SINGLE
         self._turn = 0
 

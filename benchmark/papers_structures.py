@@ -97,7 +97,7 @@ class Structure:
         if name.endswith("single"):
             from shadow_tracer.gpu.accelerators.bvh.bvh import SINGLE
 
-            walker: Any = self._tracer._engine.inside._pipeline
+            walker: Any = self._tracer._engine.inside._bands[0].pipeline
             walker.build.walk = SINGLE
         self._tracer.warm_up()
         self.frames: dict[str, list[float]] = {}

@@ -114,7 +114,7 @@ def draw(picture: Picture, out: Path) -> None:
     with forms.cuda_form():
         tracer = ShadowTracer("cone_hierarchy", "linear", device="cpu", bounds=bounds)
         tracer.scene.put("scene", picture.vertices, picture.triangles)
-        buffers = tracer._engine.inside._pipeline._buffers  # type: ignore[attr-defined]
+        buffers = tracer._engine.inside._bands[0].pipeline._buffers  # type: ignore[attr-defined]
         visits = buffers.count_visits()
         frame = tracer.trace(picture.depth, camera, [PointLight("lamp", picture.light)], bias=0.02)
     tree, state = buffers.tree, frame.state("lamp")

@@ -124,7 +124,7 @@ def _frame(picture: Picture, variant: str, light: procedural.Light, bias: float)
     tracer.scene.put("scene", picture.vertices, picture.triangles)
     frame = tracer.trace(picture.depth, picture.camera, [light], bias)
     engine: Any = tracer._engine.inside
-    return frame, engine._pipeline
+    return frame, engine._bands[0].pipeline
 
 
 def trace(picture: Picture, variant: str) -> Traced:

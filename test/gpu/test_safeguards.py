@@ -193,7 +193,7 @@ sys.path[:0] = [{root!r}, {test!r}]
 import numpy as np
 from dataclasses import replace
 from shadow_tracer.gpu.device import native
-plain, name, sure = native.read, "exact/determinant.h", "if (absolute(value) > mul(1.0e-15, permanent))"
+plain, name, sure = native.read, "exact/determinant.h", "if (absolute(value) > mul(least, permanent))"
 text = plain(name).text
 assert text.count(sure) == 1, "the place where float64 is believed has moved: update this test"
 text = text.replace(sure, "if (value == 0.0) return 0; if (permanent >= 0.0)")

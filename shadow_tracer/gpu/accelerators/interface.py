@@ -148,6 +148,10 @@ class Accelerator:
         share the rays of a frame."""
         raise NotImplementedError
 
+    def arrange(self) -> None:
+        """What the host makes ready for the number of samples and the width of their image, outside of what is
+        recorded."""
+
     def project(self, rays: Rays, counted: bool = False) -> None:
         """Make the rays of a pass and their states, for ``show``; ``counted``: they are made once more, and have been
         counted."""

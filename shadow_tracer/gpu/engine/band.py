@@ -125,6 +125,12 @@ class Band:
             self._kept.structured()
         self._decide(rays)
 
+    def trace_uncounted(self, rays: Rays) -> None:
+        """The same, and counters are as they were."""
+        before = self.samples.counters.numpy().copy()
+        self.trace(rays)
+        self.samples.counters.assign(before)
+
     def _decide(self, rays: Rays) -> None:
         """Decide the pairs that wait."""
         if self._waiting is None:

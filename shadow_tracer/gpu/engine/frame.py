@@ -332,22 +332,24 @@ class FrameTracer:
         kernels = (first.names, None if source is None else source.name, self._scene.triangle_count > 0)
         loaded = kernels in self._loaded or (source is None and self._has_launched(first.names))
         self._cold |= not loaded
-        hidden |= not loaded  # so that those that trace are loaded, too
+        load = not loaded and not hidden  # so that those that trace are loaded, too
         if self._use_graphs and first.pipeline.traits.recordable:
             samples, scene, records = first.samples, self._scene, self._context.records
             key = (*kernels[:2], samples.count, samples.width, scene.triangle_count, scene.vertex_count)
             key = (*key, records.places, records.stride)
             stale = self._mend(first, passes, stale)
+            for band in working:
+                band.pipeline.arrange()
 
             def launch() -> None:
                 records.expect(stale)
-                self._run(working, passes, source, _one_after_the_other, hidden)
+                self._run(working, passes, source, _one_after_the_other, hidden, load)
 
             with self.stages.stage("graph"), self.stages.paused():
                 key = (*key, records.front_face_culling, *map(bool, stale))
                 self._cold |= self._graphs.run(key, launch)
         else:
-            self._run(working, passes, source, self._runner(working, loaded), hidden)
+            self._run(working, passes, source, self._runner(working, loaded), hidden, load)
         self._launched(kernels)
 
     def _runner(self, working: Sequence[Band], loaded: bool) -> Run:
@@ -382,8 +384,10 @@ class FrameTracer:
         source: Source | None,
         run: Run,
         hidden: bool,
+        load: bool,
     ) -> None:
-        """The order of a frame: of each pass first what one band makes for all of them."""
+        """The order of a frame: of each pass first what one band makes for all of them. ``load``: trace what need not
+        be traced, uncounted, as its kernels are not loaded."""
         for number, rays in enumerate(passes):
             working[0].aim(rays.lights)
 
@@ -394,6 +398,8 @@ class FrameTracer:
                 band.project(rays, not hidden)
                 if hidden:
                     band.trace(rays)
+                elif load:
+                    band.trace_uncounted(rays)
                 band.busy += time.perf_counter() - begin
 
             run([partial(job, band) for band in working])

@@ -123,7 +123,7 @@ def test_a_damaged_kernel_cache_is_mended_and_logged(tmp_path: Path) -> None:
 
     ShadowTracer(device="cpu", bounds=Bounds(max_triangles=10, max_rays=10)).warm_up()
     shutil.copytree(wp.config.kernel_cache_dir, tmp_path / wp.__version__)
-    files = list(tmp_path.glob("*/wp_shadow_tracer.gpu.samples.rays_*/*.o"))
+    files = list(tmp_path.glob("*/wp_shadow_tracer.gpu.accelerators.light_grid.pack_pieces_*/*.o"))
     assert files
     for file in files:
         os.truncate(file, 1000)

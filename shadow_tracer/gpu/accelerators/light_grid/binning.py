@@ -30,6 +30,7 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.light_grid.tiles import Tiles
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.counters import LARGEST_TILE, OVERFLOWS, PASSES
+from shadow_tracer.gpu.exact import records  # noqa: F401 (headers name its constants)
 from shadow_tracer.gpu.exact.faces import Occluders
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES, LightSpace, space_of

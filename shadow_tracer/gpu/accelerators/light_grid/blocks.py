@@ -72,6 +72,10 @@ class BlockGrid:
     def prepare(self, light: LightFrame) -> None:
         self._candidates.open(light)
 
+    def arrange(self) -> None:
+        """Pieces for what is recorded, or replayed."""
+        self._pieces.arrange()
+
     def project(self, rays: Rays, counted: bool) -> None:
         """Rays and states of all samples; ``counted``: the rays have been counted."""
         samples, tiles, pieces = self._context.samples, self._buffers.tiles, self._pieces.of()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from shadow_tracer.gpu.accelerators import admission  # noqa: F401 (headers name its constants)
 from shadow_tracer.gpu.accelerators.light_grid.pieces import Pieces
 from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     ALL_BLOCKS,
@@ -23,6 +24,7 @@ from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     no_column,
 )
 from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.exact import decision  # noqa: F401 (the same)
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES, space_of
 

@@ -47,6 +47,11 @@ class PackedGrid(Accelerator):
             for light in lights:
                 self._way.prepare(light)
 
+    def arrange(self) -> None:
+        """Which samples a piece has."""
+        if isinstance(self._way, BlockGrid):
+            self._way.arrange()
+
     def project(self, rays: Rays, counted: bool = False) -> None:
         """On the CPU straight into pieces of tiles."""
         if isinstance(self._way, BlockGrid):

@@ -127,11 +127,12 @@ class PieceBuffers:
         self._shape = (0, 0, 0)
         self._rows = wp.zeros(1, dtype=int, device=device)
         self._row, self._looked = 0, -1  # of the points of that revision
+        self._recorded = False
 
     def _width(self) -> int:
         """Of the image that the samples are of, or seem to be; 0 if of none, below zero if they are in no order."""
         samples = self._samples
-        if samples.width:
+        if samples.width or self._recorded:
             return samples.width
         if self._looked != samples.revision:
             self._looked, self._row = samples.revision, 0
@@ -140,6 +141,12 @@ class PieceBuffers:
                 self._launch(find_rows, (samples.count,), lambda: (1, inputs))
                 self._row = int(self._rows.numpy()[0])
         return self._row
+
+    def arrange(self) -> None:
+        """Write down the samples of each piece, for a recording that takes it that they are there: other samples may
+        have been in between. From now on they follow from the shape of the image alone, as its key does."""
+        self._recorded = True
+        self.of()
 
     def of(self) -> Pieces:
         """Pieces of the samples as they are now; ``Tiles.order`` says which these are."""
