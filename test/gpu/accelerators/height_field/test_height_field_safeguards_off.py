@@ -174,11 +174,6 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
             (_PROFILE, "from = biased ? x + sample[3] * sweep.per_metre + 0x1p-20 : x;", "from = x;"),
         ],
     ),
-    "bounds hide what has a bias": (
-        _SWEPT,
-        "in_the_way",
-        [(_PROFILE, " & (biased == 0);", ";")],
-    ),
     "what leaves along the border is gone": (
         _SWEPT,
         "suns or stairs",

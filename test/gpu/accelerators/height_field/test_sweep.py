@@ -91,7 +91,7 @@ def test_stairs_that_rays_touch(any_device: str, bias: float) -> None:
 
 def test_a_bias_where_a_triangle_is_nearly_in_the_way(any_device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A ray from below comes out of the surface along a triangle, but for roundings: with a bias, the exact decision
-    compares numbers that are nothing but roundings, and nobody else may say what comes of it."""
+    compares distances that float64 does not know."""
     monkeypatch.setattr(charts, "_FEWEST_QUADS", 1)
     quarters = [
         (-2, -1, 0, 0, 2, 1, 2, 4),

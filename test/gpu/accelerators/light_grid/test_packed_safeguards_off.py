@@ -93,7 +93,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     ),
     "records written over when there is no room for more": (
         _TOGETHER,
-        "clusters",
+        "little_room",
         [(_GRID + "entries.h", "if (used == entries.clusters)\n            flush();", "used %= entries.clusters;")],
     ),
     "records written over that a full list left": (

@@ -13,6 +13,7 @@ import probe
 import pytest
 
 from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
+from shadow_tracer.gpu.accelerators.light_grid import blocks
 
 pytestmark = pytest.mark.wide
 
@@ -112,6 +113,16 @@ def test_clusters_of_all_kinds(kind: str, entries: int) -> None:
     count = len(view.triangles)
     for order in (np.arange(count), rng.permutation(count), np.roll(np.arange(count), 7), np.arange(count)):
         np.testing.assert_array_equal(_traced(tracer, view, order)[0], expected)
+
+
+@pytest.mark.parametrize("kind", ["mixed", "sheet and soup"])
+def test_clusters_of_which_entries_wait_have_little_room(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For the records of two of them, while the list of entries has room for all."""
+    monkeypatch.setattr(blocks, "_MOST_CLUSTERS", 2)
+    view, expected = _view(kind)
+    tracer = ShadowTracer("light_grid", "packed", "cpu", _bounds(), threads=1)
+    for _ in range(2):
+        np.testing.assert_array_equal(_traced(tracer, view)[0], expected)
 
 
 def test_what_lies_together_goes_together() -> None:
