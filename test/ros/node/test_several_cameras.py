@@ -358,7 +358,7 @@ def test_frame_of_a_camera(rig: CameraRig) -> None:
     points = np.array([[0.0, 0.0, 2.0]])
     assert rig.set_parameters({"cameras.rear.frame": "right"}) == ""
     rig.look("rear", wall(), frame="wrong")
-    assert rig.core.inputs.cameras["rear"].frame == "right"
+    rig.until(lambda: rig.core.inputs.cameras["rear"].frame == "right")
     unknown = rig.core.queries.unknown
     rig.ask(cloud_msg(points, rig.stamp, "right"))
     assert rig.core.queries.unknown == unknown
