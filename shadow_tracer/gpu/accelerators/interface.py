@@ -161,7 +161,7 @@ class Accelerator:
                 if self.takes_rays(light):
                     project(samples, light.number, place, counted)
                 else:
-                    project_without_rays(samples, light.number)
+                    project_without_rays(samples, light.number, counted)
 
     def show(self, rays: Rays, query: Query) -> None:
         """Show rays every triangle that could be in between, in any order, any number of times. ``query``: what is done

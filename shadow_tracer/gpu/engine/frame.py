@@ -336,7 +336,7 @@ class FrameTracer:
         if self._use_graphs and first.pipeline.traits.recordable:
             samples, scene, records = first.samples, self._scene, self._context.records
             key = (*kernels[:2], samples.count, samples.width, scene.triangle_count, scene.vertex_count)
-            key = (*key, records.places, records.stride)
+            key = (*key, records.places, records.stride, hidden)
             stale = self._mend(first, passes, stale)
             for band in working:
                 band.pipeline.arrange()

@@ -27,6 +27,7 @@ def depth_anchor(depth: np.ndarray, camera: Camera, bias: Bias, previous: Anchor
     # background is no outlier: it has many.
     last = -(-49 * (count - 1) // 50)  # 98 in a hundred are no farther
     seen &= z <= 30.0 * float(np.partition(z[seen], last)[last])
+    z[~seen] = 0.0  # nothing times infinity
     local = _scaled(*camera.ways(rows[:, None], columns[None, :]), z, seen)
     if not local.size:
         return previous or make_anchor(camera.position, 1.0, None)

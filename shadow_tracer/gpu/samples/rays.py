@@ -88,13 +88,14 @@ def project_blocks(
 def states_in_sun(
     first: int,
     last: int,
+    counted: int,
     column: int,
     valid: wp.array(dtype=wp.uint8),
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
     """States of some samples before tracing, for a light that shines on all of them; each that is valid counts as a
-    ray."""
+    ray, unless they are ``counted``."""
     ...
 
 
@@ -102,18 +103,19 @@ def states_in_sun(
 def shine(
     count: int,
     block: int,
+    counted: int,
     valid: wp.array(dtype=wp.uint8),
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
     first = wp.tid() * block
-    states_in_sun(first, wp.min(first + block, count), RAYS, valid, states, counters)
+    states_in_sun(first, wp.min(first + block, count), counted, RAYS, valid, states, counters)
 
 
-def project_without_rays(buffers: SampleSet, light: int) -> None:
+def project_without_rays(buffers: SampleSet, light: int, counted: bool) -> None:
     """What ``project`` makes for a light at infinity, but for the rays."""
     block = _SHONE_ON if forms.wide(buffers.device) else 1
-    inputs = [buffers.count, block, buffers.valid, buffers.states_of(light), buffers.counters]
+    inputs = [buffers.count, block, int(counted), buffers.valid, buffers.states_of(light), buffers.counters]
     wp.launch(shine, dim=-(-buffers.count // block), inputs=inputs, device=buffers.device)
 
 

@@ -1,7 +1,7 @@
 // constants: LIT INVALID COUNTER_ROWS
 struct SunStates {
-    // States of the samples from `first` to `last` for a light that shines on all that are valid.
-    static inline void some(int first, int last, int column, const wp::array_t<wp::uint8>& valid,
+    // States of the samples from `first` to `last` for a light that shines on all that are valid; counted: these are.
+    static inline void some(int first, int last, int counted, int column, const wp::array_t<wp::uint8>& valid,
                             const wp::array_t<wp::uint8>& states, const wp::array_t<wp::int64>& counters) {
         int rays = 0;
         for (int i = first; i < last; ++i) {
@@ -9,7 +9,7 @@ struct SunStates {
             states.data[i] = good ? LIT : INVALID;
             rays += good;
         }
-        if (rays)
+        if (rays && !counted)
             wp::atomic_add(counters.data + (size_t)(first / (last - first) & (COUNTER_ROWS - 1)) * counters.shape[1]
                                + column,
                            (wp::int64)rays);

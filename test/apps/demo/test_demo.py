@@ -259,11 +259,15 @@ def test_an_interrupt_ends_the_demo_without_the_node(tmp_path: Path, child_envir
             while not (tmp_path / "out").is_dir() and time.monotonic() < end:
                 time.sleep(0.02)
             child.send_signal(signal.SIGINT)
-            assert child.wait(timeout=60) == 130, (tmp_path / "log").read_text()
+            code = child.wait(timeout=60)
         finally:
             child.kill()
             child.wait()
-    assert "Traceback" not in (tmp_path / "log").read_text()
+    said = (tmp_path / "log").read_text()
+    # Where the signal comes within an exec() of a string, as dataclasses are made by, Python ends itself by it later,
+    # though it was caught: 130 for a shell, too.
+    assert code in (130, -signal.SIGINT), said
+    assert "demo: interrupted" in said and "Traceback" not in said
 
 
 def test_a_mesh_at_rest_is_the_one_of_the_view_before() -> None:
