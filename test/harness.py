@@ -14,6 +14,7 @@ from node_process import NodeProcess as NodeProcess  # for those who import it f
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 from shadow_tracer import testing
+from shadow_tracer.ros.diagnostics import MESH
 from shadow_tracer.ros.node.core import Core
 
 # For those who import them from here.
@@ -67,11 +68,14 @@ class Rig(testing.Harness):
         return msg
 
     def send_mesh_bytes(self, data: bytes, timeout: float = testing.friend.TIMEOUT) -> None:
-        """As the package's; to a node that was not started here, or not yet, without waiting."""
+        """As the package's, when its diagnostics know of the meshes before: a late word of those is none of this one.
+        To a node that was not started here, or not yet, without waiting."""
         if self.node is None:
             self.mesh.publish(data)
-        else:
-            super().send_mesh_bytes(data, timeout)
+            return
+        meshes = self.core.inputs.meshes
+        self.until(lambda: self.value(MESH, "received") == str(meshes.received), timeout, "diagnostics are up to date")
+        super().send_mesh_bytes(data, timeout)
 
     def send_part(self, topic: str, kind: Any, message: Any) -> None:
         """Publish a mesh on one of its topics, as a message or as bytes, and wait until the node has taken it."""
