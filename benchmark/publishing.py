@@ -236,7 +236,9 @@ def compare(
                 neighbours += step != 0
                 break
         else:
-            raise SystemExit(f"{name}: the mask of image {number} is not the library's")
+            of_any = [step for step in range(PHASES) if np.array_equal(shape, of((number - step) % PHASES, number))]
+            whose = f"with the mesh of {of_any[0]} images before" if of_any and not still else "with no mesh there is"
+            raise SystemExit(f"{name}: the mask of image {number} is not the library's; it would be {whose}")
     if not len(stored["masks"]):
         raise SystemExit(f"{name}: no mask to compare")
     return len(stored["masks"]), neighbours
