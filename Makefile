@@ -11,6 +11,10 @@ EXTRAS_benchmark := ros,mesh,demo,benchmark,dose
 
 # A ROS 2 that is sourced in this shell, or the ROS wheels of another environment, must not mix with the wheels in .venv.
 unexport PYTHONPATH PYTHONHOME
+
+# Without byte code each process of the tests rewrites the assertions of 250 modules, and each program that a test starts
+# compiles the package: a quarter of `make quick`.
+unexport PYTHONDONTWRITEBYTECODE
 ifdef LD_LIBRARY_PATH
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport LD_LIBRARY_PATH
@@ -49,8 +53,8 @@ test: $(VENV)/.has-test ## all tests of the package, on up to four cores; ARGS="
 mutants: $(VENV)/.has-test ## tests of the tests: in copies without a safeguard some of them must fail; ARGS as for test
 	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal -m mutant $(ARGS)
 
-quick: $(VENV)/.has-test ## the tests of the inner loop: of each function a few cases, none over a second, of each pipeline its default variant; ARGS as for test, ARGS="--few-cases 0 -k name" takes all cases
-	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m "not slow" --default-variants --few-cases 4 --find-slow $(ARGS)
+quick: $(VENV)/.has-test ## the tests of the inner loop: of each function two cases, none over a second, of each pipeline its default variant; ARGS as for test, ARGS="--few-cases 0 -k name" takes all cases
+	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m "not slow" --default-variants --few-cases 2 --find-slow $(ARGS)
 
 benchmark: $(VENV)/.has-benchmark ## the suite beside Embree, wp.Mesh and others, figures and plots into benchmark_output/; ARGS="--quick" is short
 	@$(PY) benchmark/suite.py --out benchmark_output $(ARGS)

@@ -85,6 +85,7 @@ def test_the_program_and_the_library_say_the_same(model) -> None:
     assert isinstance(where.place, Place)
 
 
+@pytest.mark.slow
 def test_a_zarr_store_has_what_the_netcdf_file_has(model, capsys) -> None:
     """Tile by tile, in whatever order chunks and tiles meet; and again in its place."""
     pytest.importorskip("zarr")

@@ -102,6 +102,7 @@ def test_what_cannot_be_mended_names_the_folder_and_the_cure(folder: Path, monke
     assert file.exists()
 
 
+@pytest.mark.slow
 def test_another_error_is_left_as_it_is(folder: Path) -> None:
     """Also one that says the same of a module of somebody else, or comes from other JSON."""
     for text in ("bad", "Failed to load CPU module 'mine' (device='cpu', block_dim=1, module_hash=1234567)"):

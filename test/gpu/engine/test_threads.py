@@ -237,6 +237,7 @@ def _small(names: tuple[str, str], threads: int, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.wide
+@pytest.mark.slow
 @pytest.mark.parametrize("names", _BUNDLES, ids="/".join)
 def test_masks_by_any_number_of_threads(names: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Images of several sizes and points, one band or all; bundles as the pilot says, or rays; a scene that moves, that

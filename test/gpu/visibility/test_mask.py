@@ -244,6 +244,7 @@ def test_the_pilot_decides_about_time_alone(
         assert nodes[2] != nodes[3], "these are two ways"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", ["bvh/sah", "mesh_bvh/refit"])
 def test_points_of_large_lights_are_traced_apart(any_device: str, names: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the pilot's counts; in the CPU's form by the light grid, whose memory is reserved once. The bits are those of
