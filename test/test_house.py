@@ -240,7 +240,7 @@ def test_every_variant_is_in_a_room_of_its_kind() -> None:
 # asked of ``forms``, so that the CPU can run the form of CUDA.
 _ASKS_THE_DEVICE = (
     "accelerators/bvh/mesh_bvh.py",
-    *(f"device/{name}.py" for name in ("forms", "graphs", "seats", "stages", "transfers")),
+    *(f"device/{name}.py" for name in ("forms", "graphs", "seats", "stages", "transfers", "views")),
     "engine/engine.py",
 )
 

@@ -19,6 +19,7 @@ from shadow_tracer.scene.lights import AreaLight, DirectionalLight, Light, Point
 _HARD = (PointLight, SpotLight, DirectionalLight)
 _LIGHTS = (*_HARD, AreaLight)
 Lights = tuple[Light, ...]
+_USUAL = Bias()
 
 
 def check_frame(
@@ -46,7 +47,7 @@ def check_frame(
         )
     checked = check_lights(bounds, lights)
     if bias is None:
-        bias = Bias()
+        bias = _USUAL
     elif not isinstance(bias, Bias):
         bias = Bias(constant=bias)
     return np.ascontiguousarray(image), camera, checked, bias

@@ -18,7 +18,7 @@ pytest.importorskip("warp")
 
 _BENCHMARK = Path(__file__).resolve().parents[2] / "benchmark"
 pytestmark = pytest.mark.slow
-_MODULES = ("occluders.world", "samples.normals", "accelerators.light_grid.binning")
+_MODULES = ("occluders.placing", "samples.normals", "accelerators.light_grid.binning")
 _METHODS = ("light_grid/packed", "cone_hierarchy/linear", "wp.Mesh refit + any-hit", "wp.Bvh rebuild + any-hit")
 
 # One pipeline cannot be loaded, and a second ends its process without a word.

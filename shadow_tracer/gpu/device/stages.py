@@ -17,6 +17,7 @@ class Stages:
 
     def __init__(self, device: Any) -> None:
         self._device = device
+        self._on_host = bool(device.is_cpu)
         self._times: dict[str, float] = {}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
         self._pool: list[wp.Event] = []
@@ -29,28 +30,23 @@ class Stages:
             self._pool += [begin, end]
         self._events = []
 
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def stage(self, name: str) -> _Stage:
         """Time what happens inside as stage ``name``."""
+        return _Stage(self, name)
+
+    def _begin(self, name: str) -> float | wp.Event | None:
         if self._paused:
-            yield
-            return
+            return None
         self._times.setdefault(name, 0.0)
-        if self._device.is_cpu:
-            begin = time.perf_counter()
-            try:
-                yield
-            finally:
-                self._times[name] += (time.perf_counter() - begin) * 1e3
-        else:
-            first, last = self._event(), self._event()
-            stream = wp.get_stream(self._device)
-            stream.record_event(first)
-            try:
-                yield
-            finally:
-                stream.record_event(last)
-                self._events.append((name, first, last))
+        if self._on_host:
+            return time.perf_counter()
+        return wp.get_stream(self._device).record_event(self._event())
+
+    def _end(self, name: str, begin: float | wp.Event | None) -> None:
+        if isinstance(begin, float):
+            self._times[name] += (time.perf_counter() - begin) * 1e3
+        elif begin is not None:
+            self._events.append((name, begin, wp.get_stream(self._device).record_event(self._event())))
 
     @contextmanager
     def paused(self) -> Iterator[None]:
@@ -70,3 +66,18 @@ class Stages:
 
     def _event(self) -> wp.Event:
         return self._pool.pop() if self._pool else wp.Event(self._device, enable_timing=True)
+
+
+class _Stage:
+    """A stage, or a part of it: a class, because a generator takes five times as long as it has to tell."""
+
+    __slots__ = ("_begin", "_name", "_stages")
+
+    def __init__(self, stages: Stages, name: str) -> None:
+        self._stages, self._name = stages, name
+
+    def __enter__(self) -> None:
+        self._begin = self._stages._begin(self._name)
+
+    def __exit__(self, *_: object) -> None:
+        self._stages._end(self._name, self._begin)

@@ -18,6 +18,7 @@ import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.device.views import Views
 
 _PIECE = 1 << 20  # bytes: 40 us of a bus with 25 GB/s, much longer than it takes to start a copy
 _PLACES = 4
@@ -93,6 +94,7 @@ class HostValues:
     def __init__(self, dtype: Any, capacity: int, device: Any) -> None:
         self.array = wp.zeros(capacity, dtype=dtype, device=device)
         self.staging = self.array if device.is_cpu else wp.zeros(capacity, dtype=dtype, device="cpu", pinned=True)
+        self._records = self.staging.numpy()
 
     def write(self, values: Sequence[Any]) -> None:
         """Make the first elements of ``array`` equal to ``values``."""
@@ -100,8 +102,16 @@ class HostValues:
         begin, size = int(self.staging.ptr or 0), self.staging.strides[0]
         for index, value in enumerate(values):
             ctypes.memmove(begin + index * size, ctypes.byref(value.__ctype__()), size)
+        self._send(len(values))
+
+    def put(self, records: npt.NDArray[Any]) -> None:
+        """The same for values of numpy, whose fields are those of the structs."""
+        self._records[: len(records)] = records
+        self._send(len(records))
+
+    def _send(self, count: int) -> None:
         if self.staging is not self.array:
-            wp.copy(self.array, self.staging, count=len(values))
+            wp.copy(self.array, self.staging, count=count)
 
 
 class HostCopies:
@@ -117,6 +127,7 @@ class HostCopies:
         # By where an array is: it, its copy, and whether that is fetched in full.
         self._copies: dict[int, tuple[ref[wp.array], wp.array, bool]] = {}
         self._asked: wp.Event | None = None
+        self._views = Views()
 
     def add(self, array: wp.array, whole: bool = True) -> wp.array:
         """Have room for a copy of ``array``, which is returned; ``whole``: fetched in full each time. Both as long as
@@ -149,5 +160,6 @@ class HostCopies:
     def read(self, array: wp.array) -> npt.NDArray[Any]:
         """The array as it was when last fetched; overwritten when that happens again."""
         copy = self._copies.get(int(array.ptr or 0))
-        found: npt.NDArray[Any] = (array if copy is None else copy[1]).numpy()
-        return found
+        if copy is not None:
+            array = copy[1]
+        return self._views(array)

@@ -79,9 +79,7 @@ class Band:
     def begin(self, source: Source | None) -> None:
         """Counters to zero; samples of a depth image if there are to be new ones."""
         samples = self.samples
-        samples.counters.zero_()
-        samples.queue_counts.zero_()
-        samples.parts.zero_()
+        samples.clear(samples.counters, samples.queue_counts, samples.parts)
         if source is not None:
             depth = depth_of(samples, source.format)
             with self.stages.stage("unproject"):
@@ -110,7 +108,7 @@ class Band:
             self.samples.renew()  # the rays of another band in the same buffers are overwritten
         elif not rays.keep:
             self._kept.forget()
-        before = self._kept.rays_so_far() if self._kept is not None and rays.keep else 0
+        before = self._kept.rays_so_far() if self._kept is not None and rays.keep and rays.first else 0
         self.pipeline.project(rays, counted)
         if self._kept is not None and rays.keep:
             self._kept.keep(rays.lights, before)
@@ -195,7 +193,7 @@ class Band:
         asked.positions, asked.states, asked.seen = samples.positions, samples.states_of(place), samples.seen
         asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
         asked.cull, asked.counters = int(records.front_face_culling), samples.counters
-        samples.counters.zero_()
+        samples.clear(samples.counters)
         self.pipeline.show(Rays((), mask=asked), MASK)
         return asked.seen
 
@@ -213,7 +211,7 @@ class Band:
     def copy_states(self, lights: int, into: npt.NDArray[np.uint8]) -> None:
         """Copy the states for ``lights`` lights into their columns of (L, N) ``into``."""
         samples = self.samples
-        states = samples.states_of(0, lights).numpy().reshape(lights, samples.count)
+        states = samples.views(samples.states_of(0, lights)).reshape(lights, samples.count)
         into[:, samples.first : samples.first + samples.count] = states
 
 

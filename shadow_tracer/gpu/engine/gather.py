@@ -46,7 +46,7 @@ def gather_counters(working: Sequence[Band]) -> dict[str, int]:
     for band in working:
         counters = band.samples.read_counters()
         band.pipeline.learn(counters)
-        total = add_up(total, counters)
+        total = add_up(total, counters) if total else counters
     return total
 
 

@@ -15,6 +15,8 @@ decision never uses it. ``rays.py`` brings samples into it, ``records.py`` trian
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -60,27 +62,32 @@ class Anchor:
     center: tuple[float, float, float]
     scale: float
 
-    def covers(self, center: FloatArray, radius: float) -> bool:
+    def covers(self, center: Sequence[float], radius: float) -> bool:
         """Whether this anchor serves samples within ``radius`` of ``center`` well, so that nothing needs to be set up
         again."""
-        distance = float(np.linalg.norm(center - np.asarray(self.center)))
-        return distance + radius <= self.scale <= 8.0 * radius
+        return math.dist(center, self.center) + radius <= self.scale <= 8.0 * radius
 
 
-def make_anchor(center: FloatArray, radius: float, previous: Anchor | None) -> Anchor:
+def make_anchor(center: FloatArray | Sequence[float], radius: float, previous: Anchor | None) -> Anchor:
     """Anchor for samples within about ``radius`` of ``center``; the previous one while it still serves."""
     radius = min(max(radius, 1e-30), 1e30)
-    if previous is not None and previous.covers(center, radius):
-        return previous
     x, y, z = (float(v) for v in center)
+    if previous is not None and previous.covers((x, y, z), radius):
+        return previous
     return Anchor((x, y, z), 1.5 * radius)
 
 
 def make_light_frame(light: HardLight, anchor: Anchor, number: int = 0) -> LightFrame:
     """Frame of ``light``, the ``number``-th of its frame, over the samples at ``anchor``. Not to be changed: a light
     that stays where it is gets the same one again."""
+    return _make(*_look(light), anchor, number)
+
+
+@lru_cache(maxsize=256)
+def _look(light: HardLight) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:
+    """What frames of a light depend on; lights are not changed either."""
     axis, cosine = light.cone
-    return _make(tuple(light.homogeneous.tolist()), tuple(axis.tolist()), cosine, light.range, anchor, number)
+    return tuple(light.homogeneous.tolist()), tuple(axis.tolist()), cosine, light.range
 
 
 @lru_cache(maxsize=256)

@@ -49,20 +49,25 @@ class History:
 
     def __init__(self) -> None:
         self._steps: deque[tuple[int, Ranges, Ranges]] = deque(maxlen=_KEPT)
+        self._asked: tuple[int, Changed] | None = None  # last, and what was said
 
     def add(self, number: int, triangles: Ranges, vertices: Ranges) -> None:
         """Revision ``number`` has other triangles, and vertices, in these ranges."""
+        self._asked = None
         self._steps.append((number, triangles, vertices))
 
     def clear(self) -> None:
         """Nothing is known of earlier revisions."""
+        self._asked = None
         self._steps.clear()
 
     def since(self, number: int) -> Changed | None:
         """What has changed since revision ``number``; None if that is not known."""
         if not self._steps or self._steps[0][0] > number + 1:
             return None
-        steps = [step for step in self._steps if step[0] > number]
-        triangles = merged(each for step in steps for each in step[1])
-        vertices = merged(each for step in steps for each in step[2])
-        return Changed(few(triangles), few(vertices))
+        if self._asked is None or self._asked[0] != number:
+            steps = [step for step in self._steps if step[0] > number]
+            triangles = merged(each for step in steps for each in step[1])
+            vertices = merged(each for step in steps for each in step[2])
+            self._asked = number, Changed(few(triangles), few(vertices))
+        return self._asked[1]

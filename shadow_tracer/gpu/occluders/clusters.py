@@ -63,6 +63,7 @@ class ClusterBoxes:
         items = -(-max_triangles // (CLUSTER * _BOXES))
         self._boxes = wp.empty(6 * _BOXES * items, dtype=float, device=scene.device)
         self._made = wp.zeros(items, dtype=int, device=scene.device)
+        self._mades = self._made.numpy()
 
     def follow(self) -> None:
         """Boxes of another revision of the scene are not used, where it has changed since; nor those of what was left
@@ -70,7 +71,7 @@ class ClusterBoxes:
         scene = self._scene
         if (self._made_for, self._left_out) == (scene.revision, scene.left_out):
             return
-        made, changed = self._made.numpy(), scene.changed_since(self._made_for).triangles
+        made, changed = self._mades, scene.changed_since(self._made_for).triangles
         if self._left_out != scene.left_out:
             changed += self._left_out + scene.left_out
         for first, last in blocks(changed, CLUSTER * _BOXES, scene.triangle_count):

@@ -69,7 +69,7 @@ class TriangleRecords:
         self._summed = not forms.wide(device)
         self._sums = wp.zeros(SUMS * lights if self._summed else 1, dtype=wp.vec2i, device=device)
         host.add(self._sums if self._summed else self._silent)
-        self._made_for: dict[int, tuple[tuple[object, ...], Revision]] = {}
+        self._made_for: dict[int, tuple[tuple[object, ...], LightFrame | None, Revision | None]] = {}
         self._stale: dict[int, Changed] = {}
         self._slices = Slices()
 
@@ -114,19 +114,13 @@ class TriangleRecords:
         if fit != self._fit:
             self.forget()
         self._fit, self.places = fit, fit // together * together
+        key = self.places, self.front_face_culling, self.scene.left_out
         for frame in frames:
-            key = (
-                self.places,
-                tuple(frame.light),
-                tuple(frame.center),
-                frame.inverse_scale,
-                self.front_face_culling,
-                self.scene.left_out,
-            )
             place = self.place(frame.number)
-            made_for, revision = self._made_for.get(place, ((), None))
-            self._stale[frame.number] = self._changed(revision if key == made_for else None)
-            self._made_for[place] = key, self.scene.revision
+            made_for, known, revision = self._made_for.get(place, ((), None, None))
+            same = key == made_for and known is not None and _same(frame, known)
+            self._stale[frame.number] = self._changed(revision if same else None)
+            self._made_for[place] = key, frame, self.scene.revision
         return tuple(self._stale[frame.number] for frame in frames)
 
     def _changed(self, revision: Revision | None) -> Changed:
@@ -198,3 +192,11 @@ class TriangleRecords:
     def nbytes(self) -> int:
         """Bytes of the records on the device."""
         return int(self.memory.capacity)
+
+
+def _same(one: LightFrame, other: LightFrame) -> bool:
+    """Whether records for one light are those for the other."""
+    if one is other:  # a light that stays where it is
+        return True
+    places = [(tuple(frame.light), tuple(frame.center), frame.inverse_scale) for frame in (one, other)]
+    return places[0] == places[1]

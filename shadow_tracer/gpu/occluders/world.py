@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.shared import Shared
 from shadow_tracer.gpu.device.transfers import Uploads
 from shadow_tracer.gpu.exact.records import GAP_VERTEX
 from shadow_tracer.gpu.occluders.changes import Changed, History, Revision
 from shadow_tracer.gpu.occluders.depth_surface import DepthSurfaces
+from shadow_tracer.gpu.occluders.placing import Placing
 from shadow_tracer.gpu.occluders.slots import Range, Ranges, Room, merged
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, all_three
@@ -36,50 +37,6 @@ from shadow_tracer.scene.some import Some
 
 # Gaps of more than this share of what there is are closed.
 _WASTE = 0.5
-_BLOCK = wp.constant(1024)
-
-
-@native.func_native("occluders/transform.h", calls="Transform::block")
-def transform_block(
-    row0: wp.vec4d,
-    row1: wp.vec4d,
-    row2: wp.vec4d,
-    first: int,
-    begin: int,
-    end: int,
-    local: wp.array(dtype=wp.vec3d),
-    world: wp.array(dtype=wp.vec3d),
-):
-    """Vertices ``begin`` to ``end`` of a mesh, whose first is number ``first`` of ``world``."""
-    ...
-
-
-@wp.kernel(enable_backward=False)
-def transform_vertices(
-    row0: wp.vec4d,
-    row1: wp.vec4d,
-    row2: wp.vec4d,
-    first: int,
-    local: wp.array(dtype=wp.vec3d),
-    world: wp.array(dtype=wp.vec3d),
-):
-    """world = pose * local, one vertex per thread; ``local`` is as long as ``world``."""
-    i = first + wp.tid()
-    transform_block(row0, row1, row2, 0, i, i + 1, local, world)
-
-
-@wp.kernel(enable_backward=False)
-def transform_blocks(
-    row0: wp.vec4d,
-    row1: wp.vec4d,
-    row2: wp.vec4d,
-    first: int,
-    local: wp.array(dtype=wp.vec3d),
-    world: wp.array(dtype=wp.vec3d),
-):
-    """``transform_vertices`` for a mesh whose vertices are read where the host has them."""
-    begin = wp.tid() * _BLOCK
-    transform_block(row0, row1, row2, first, begin, wp.min(begin + _BLOCK, local.shape[0]), local, world)
 
 
 @dataclass
@@ -132,6 +89,7 @@ class SceneBuffers:
         self.local = wp.empty(0 if forms.wide(device) else vertices, dtype=wp.vec3d, device=device)
         self.vertices = wp.empty(vertices, dtype=wp.vec3d, device=device)
         self.triangles = wp.empty(bounds.max_triangles, dtype=wp.vec3i, device=device)
+        self._placing = Placing(device, self.local, self.vertices)
         self._depths = DepthSurfaces(device, self.upload)
         self.triangle_count = self.vertex_count = self.live_triangles = 0
         self.revision = Revision()
@@ -199,6 +157,7 @@ class SceneBuffers:
         parts: dict[str, _Part] = {}
         vertices: list[Range] = []
         triangles: list[Range] = []
+        self._placing.begin()
         for mesh, place in zip(scene, self._places(scene), strict=True):
             part, part_placed, part_positioned = self._sync_part(mesh, *place)
             parts[mesh.name] = part
@@ -206,6 +165,7 @@ class SceneBuffers:
             if not part_positioned:
                 triangles.append(part.slot[1])
                 vertices += [part.slot[0]] if part.triangle_count else []
+        self._placing.end()
         left = [old.slot for name, old in before.items() if name not in parts or parts[name].slot != old.slot]
         self._parts = parts
         self._depths.keep({name for name, part in parts.items() if isinstance(part.mesh, DepthSurface)})
@@ -275,7 +235,7 @@ class SceneBuffers:
     def nbytes(self) -> int:
         """Bytes reserved on the device, and by what is made of the scene."""
         own = int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
-        return own + self._depths.nbytes() + self.made.nbytes()
+        return own + self._placing.nbytes() + self._depths.nbytes() + self.made.nbytes()
 
     def _sync_part(self, mesh: Mesh, first_vertex: int, first_triangle: int) -> tuple[_Part, bool, bool]:
         """Copy what changed of a mesh; returns whether its triangles, and its vertices, were there."""
@@ -308,20 +268,13 @@ class SceneBuffers:
 
     def _place(self, mesh: Mesh, first: int, moved: bool) -> None:
         """A mesh's vertices in the world, from vertex ``first`` on; ``moved``: in its frame they are other ones."""
-        count = mesh.vertex_count
-        rows = [wp.vec4d(*row) for row in mesh.pose[:3]]
         if isinstance(mesh, DepthSurface):
-            local = self._depths.corners(mesh, self.local, first)[:count]
-        elif forms.wide(self.device):
-            local = wp.array(ptr=mesh.vertices.ctypes.data, dtype=wp.vec3d, shape=(count,), device=self.device)
-        elif moved:
-            self.upload(self.local, mesh.vertices, first)
-        if forms.wide(self.device):
-            inputs, blocks = [*rows, first, local, self.vertices], -(-count // int(_BLOCK))
-            wp.launch(transform_blocks, dim=blocks, inputs=inputs, device=self.device)
+            local = int(self._depths.corners(mesh, self.local, first).ptr or 0)
         else:
-            inputs = [*rows, first, self.local, self.vertices]
-            wp.launch(transform_vertices, dim=count, inputs=inputs, device=self.device)
+            local = mesh.vertices.__array_interface__["data"][0]
+            if moved and not forms.wide(self.device):
+                self.upload(self.local, mesh.vertices, first)
+        self._placing.place(mesh.pose, first, mesh.vertex_count, local)
 
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Low and high corner of a box in the world around all finite vertices; zeros if there are none."""

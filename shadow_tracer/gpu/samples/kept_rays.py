@@ -29,12 +29,12 @@ class KeptRays:
 
     def rays_so_far(self) -> int:
         """Rays of the passes of this frame that have been made."""
-        return int(self._samples.counters.numpy()[:, RAYS].sum())
+        return int(np.add.reduce(self._samples.views(self._samples.counters)[:, RAYS]))
 
     def keep(self, lights: tuple[LightFrame, ...], before: int) -> None:
         """The rays of a pass have just been made, and nothing of them yet; ``before``: rays of earlier passes."""
         samples = self._samples
-        states = samples.states_of(lights[0].number, len(lights)).numpy()
+        states = samples.views(samples.states_of(lights[0].number, len(lights)))
         self._states[: states.size] = states
         self._rays = self.rays_so_far() - before
         self._revision, self._lights, self._structured = samples.revision, lights, False
@@ -50,9 +50,9 @@ class KeptRays:
         same = len(lights) == len(self._lights) and all(map(_is, lights, self._lights))
         if not (same and self._structured and self._revision == samples.revision):
             return False
-        states = samples.states_of(lights[0].number, len(lights)).numpy()
+        states = samples.views(samples.states_of(lights[0].number, len(lights)))
         states[:] = self._states[: states.size]
-        samples.counters.numpy()[0, RAYS] += self._rays
+        samples.views(samples.counters)[0, RAYS] += self._rays
         return True
 
     def nbytes(self) -> int:

@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from shadow_tracer.gpu.device import forms
@@ -20,12 +22,14 @@ from shadow_tracer.gpu.device.counters import COUNTERS, LARGEST, ROWS
 from shadow_tracer.gpu.device.launches import Launches
 from shadow_tracer.gpu.device.slices import Slices
 from shadow_tracer.gpu.device.transfers import HostCopies, HostValues, Uploads
+from shadow_tracer.gpu.device.views import Clearing, Views
 from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.samples.pinhole import Pinhole
 from shadow_tracer.scene.bounds import Bounds
 
 # Rays that a band has room for, in parts of an even one: cuts are moved until all take equally long (``bands.py``).
 _ROOM = 1.25
+_LARGEST = {name: COUNTERS.index(name) for name in LARGEST}
 
 
 def bounds_of_band(bounds: Bounds, bands: int) -> Bounds:
@@ -69,6 +73,8 @@ class SampleSet:
 
         self.upload: Uploads = whole.upload if whole else Uploads(device)
         self.host = HostCopies(device, mirrored)
+        self.views = Views()  # on the CPU
+        self.clear = Clearing(device, mirrored)
         rays = bounds.max_rays if whole else bands * bounds_of_band(bounds, bands).max_rays
         # Whole images, also for bands: a normal needs pixels beyond the cuts between them.
         self.depth_metres: wp.array = (
@@ -137,9 +143,9 @@ class SampleSet:
         """The pixels of a whole image that belong to these samples."""
         return self._slices(image, self.first, self.count)
 
-    def set_camera(self, pinhole: Pinhole) -> None:
-        """Tell kernels the camera of this frame."""
-        self._pinhole.write([pinhole])
+    def set_camera(self, pinhole: npt.NDArray[Any]) -> None:
+        """Tell kernels the camera of this frame: a :class:`Pinhole` as a value of numpy, (1,)."""
+        self._pinhole.put(pinhole)
 
     def set_lights(self, frames: Sequence[LightFrame]) -> None:
         """Tell kernels the lights of this frame; the ``number`` of each is its place."""
@@ -148,10 +154,9 @@ class SampleSet:
     def read_counters(self) -> dict[str, int]:
         """Counter sums by name, as they were when last asked for."""
         rows = self.host.read(self.counters)
-        totals = rows.sum(axis=0)
-        for column in map(COUNTERS.index, LARGEST):
-            totals[column] = rows[:, column].max()
-        return dict(zip(COUNTERS, (int(v) for v in totals), strict=True))
+        totals = dict(zip(COUNTERS, np.add.reduce(rows).tolist(), strict=True))
+        most = np.maximum.reduce(rows)
+        return totals | {name: int(most[column]) for name, column in _LARGEST.items()}
 
     def nbytes(self) -> int:
         """Bytes reserved on the device."""

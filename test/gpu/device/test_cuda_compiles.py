@@ -22,7 +22,7 @@ def test_modules_are_found():
         "cone_hierarchy.descent",
         "light_grid.packing",
     }
-    assert {"occluders.world", "visibility.planes", *(f"accelerators.{name}" for name in ours)} <= set(found)
+    assert {"occluders.placing", "visibility.planes", *(f"accelerators.{name}" for name in ours)} <= set(found)
     assert not {"samples.sample_set", "exact.decision", "device.stages", "occluders.seen"} & set(found), "no kernels"
 
 

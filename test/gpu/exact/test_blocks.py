@@ -93,7 +93,7 @@ def test_samples(
     array.numpy()[:count] = depth
     frame.positions.fill_(wp.vec4d(_GARBAGE, _GARBAGE, _GARBAGE, _GARBAGE))
     frame.valid.fill_(9)
-    frame.set_camera(pinhole)
+    frame.set_camera(np.array([pinhole.numpy_value()], Pinhole.numpy_dtype()))
     units = wp.float64(1.0 if metres else 1000.0)
     inputs = [frame.pinhole, frame.ray_table, units, array, frame.positions, frame.valid]
     wp.launch(pixels.unproject, dim=count, inputs=inputs, device="cpu")

@@ -12,7 +12,7 @@ from mutants import Change, failing_tests
 _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "records of whatever was left out": (
         "not_see and (brute or linear or packed)",
-        [("occluders/seen.py", "self.scene.left_out,", "")],
+        [("occluders/seen.py", "self.front_face_culling, self.scene.left_out", "self.front_face_culling")],
     ),
     "boxes of whatever was left out": (
         "sequences and packed",

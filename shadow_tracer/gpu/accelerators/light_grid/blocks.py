@@ -79,7 +79,6 @@ class BlockGrid:
     def project(self, rays: Rays, counted: bool) -> None:
         """Rays and states of all samples; ``counted``: the rays have been counted."""
         samples, tiles, pieces = self._context.samples, self._buffers.tiles, self._pieces.of()
-        self._admission.counts.zero_()
 
         def prepare() -> tuple[int, list[Any]]:
             inputs = [samples.lights_from(rays.first), int(counted), samples.positions, samples.valid]

@@ -162,7 +162,8 @@ class Candidates:
         blocks = bounds.max_triangles // BLOCK + bounds.max_lights
         self._made = wp.zeros(blocks, dtype=int, device=device)
         self._silent = wp.zeros(2 * _CLUSTERS * blocks, dtype=wp.uint8, device=device)
-        self._slices = Slices()
+        self._counted = self._silent.numpy()
+        self._slices, self._clear = Slices(), context.samples.clear
 
     def follow(self) -> None:
         """The boxes are those of the scene as it is."""
@@ -173,9 +174,11 @@ class Candidates:
         stale, records = self._records.begin(light), self._records
         place = records.place(light.number) * records.blocks
         for first, last in blocks(stale.triangles, BLOCK, self._scene.triangle_count):
-            self._slices(self._made, place + first, last - first).zero_()
-            self._slices(records.silent_of(light.number), first, last - first).zero_()
-            self._slices(self._silent, 2 * _CLUSTERS * (place + first), 2 * _CLUSTERS * (last - first)).zero_()
+            self._clear(
+                self._slices(self._made, place + first, last - first),
+                self._slices(records.silent_of(light.number), first, last - first),
+                self._slices(self._silent, 2 * _CLUSTERS * (place + first), 2 * _CLUSTERS * (last - first)),
+            )
 
     def structs(self, rays: Rays) -> tuple[Clusters, AllRecords]:
         """As kernels see them, for the lights of a pass."""
@@ -199,7 +202,7 @@ class Candidates:
         or of all if there are records of all."""
         records = self._records
         first = 2 * _CLUSTERS * records.blocks * records.place(light.number)
-        some = self._silent.numpy()[first : first + 2 * -(-self._scene.triangle_count // CLUSTER)]
+        some = self._counted[first : first + 2 * -(-self._scene.triangle_count // CLUSTER)]
         degenerate, culled = records.silent(light.number)
         if some.any():
             degenerate, culled = max(degenerate, int(some[::2].sum())), max(culled, int(some[1::2].sum()))

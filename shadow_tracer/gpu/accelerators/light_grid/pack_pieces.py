@@ -162,6 +162,8 @@ def project_pieces(
 ):
     """Rays and states of the samples for all lights of a pass: some samples for each light, as long as they are in the
     cache."""
+    wild_counts[0] = 0
+    wild_counts[1] = 0
     for place in range(tiles.lights):
         begin_light(place, tiles, pieces)
     for number in range(pieces.segments):
