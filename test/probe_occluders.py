@@ -38,6 +38,12 @@ def layout(tracer: ShadowTracer) -> Layout:
     return Layout(first, scene.triangle_count, scene.live_triangles, context.records.places)
 
 
+def in_another_order(tracer: ShadowTracer) -> set[str]:
+    """Names of the meshes whose triangles and vertices stand in another order than the mesh's."""
+    scene: Any = probe.context(tracer).scene
+    return {name for name, part in scene._parts.items() if part.order is not None}
+
+
 def scene_uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     """Grows by what is copied into, or made in, the scene's buffers: which, and how many elements."""
     scene: Any = probe.context(tracer).scene
@@ -49,9 +55,9 @@ def scene_uploads(tracer: ShadowTracer, monkeypatch: pytest.MonkeyPatch) -> list
         found.append((names[destination.ptr], len(source)))
         upload(destination, source, offset)
 
-    def placed(mesh: Any, first: int, moved: bool) -> None:
+    def placed(mesh: Any, first: int, moved: bool, order: Any) -> None:
         found.append(("placed", mesh.vertex_count))
-        place(mesh, first, moved)
+        place(mesh, first, moved, order)
 
     monkeypatch.setattr(scene, "upload", counted)
     monkeypatch.setattr(scene, "_place", placed)

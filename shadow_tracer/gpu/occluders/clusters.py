@@ -2,15 +2,16 @@
 """Boxes around sixteen triangles each, made again only where the scene has changed, and how threads divide among them
 what several need. For the CPU.
 
-Triangles that follow each other in a mesh mostly lie together, so a box says no for sixteen of them at once; in a soup
-of triangles it says no to nothing, and costs little.
+Triangles that follow each other in a mesh mostly lie together, or are put into an order in which they do
+(``order.py``), so a box says no for sixteen of them at once; in a soup of triangles it says no to nothing, and costs
+little.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from shadow_tracer.gpu.device import native
+from shadow_tracer.gpu.device import forms, native
 from shadow_tracer.gpu.occluders.changes import Revision
 from shadow_tracer.gpu.occluders.slots import Ranges, blocks
 from shadow_tracer.gpu.occluders.world import SceneBuffers
@@ -58,6 +59,7 @@ class ClusterBoxes:
 
     def __init__(self, max_triangles: int, scene: SceneBuffers) -> None:
         self._scene = scene
+        scene.by_sixteens = forms.wide(scene.device)
         self._made_for: Revision | None = None
         self._left_out: Ranges = ()
         items = -(-max_triangles // (CLUSTER * _BOXES))

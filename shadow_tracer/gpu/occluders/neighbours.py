@@ -74,8 +74,14 @@ class Neighbours:
         for mesh, _, first in scene.placed():
             found[mesh.name] = mesh.topology_revision, self._of(mesh)
             last, mine = first + len(mesh.triangles), found[mesh.name][1]
+            own, order = np.arange(len(mesh.triangles), dtype=np.int32), scene.order_of(mesh.name)
+            if order is not None:
+                stands = np.empty_like(own)
+                stands[order.numbers] = own
+                own = order.numbers
+                mine = np.where(mine < 0, -1, 3 * stands[mine // 3] + mine % 3)[own]
             across[first:last] = np.where(mine < 0, -1, mine + np.int32(3 * first))
-            numbers[first:last] = np.arange(begin, begin + len(mesh.triangles), dtype=np.int32)
+            numbers[first:last] = begin + own
             begin += len(mesh.triangles)
         self._scene.upload(self.across, across)
         self._scene.upload(self.numbers, numbers)

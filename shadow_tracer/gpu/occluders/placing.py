@@ -26,6 +26,7 @@ class Move:
     row1: wp.vec4d
     row2: wp.vec4d
     local: wp.uint64  # where they are
+    order: wp.uint64  # where the number is of the vertex that each place has; 0: each has its own
     count: int
     first: int  # where in the world they are to be
 
@@ -42,6 +43,21 @@ def transform_block(
     world: wp.array(dtype=wp.vec3d),
 ):
     """Vertices ``begin`` to ``end`` of a mesh, whose first is number ``first`` of ``world``."""
+    ...
+
+
+@native.func_native("occluders/transform.h", calls="Transform::ordered")
+def transform_ordered(
+    row0: wp.vec4d,
+    row1: wp.vec4d,
+    row2: wp.vec4d,
+    first: int,
+    end: int,
+    local: wp.array(dtype=wp.vec3d),
+    order: wp.array(dtype=int),
+    world: wp.array(dtype=wp.vec3d),
+):
+    """As ``transform_block`` for all vertices of a mesh, up to ``end``, in another order."""
     ...
 
 
@@ -65,7 +81,11 @@ def transform_meshes(count: int, moves: wp.array(dtype=Move), world: wp.array(dt
     for k in range(count):
         move = moves[k]
         local = wp.array(ptr=move.local, shape=(move.count,), dtype=wp.vec3d)
-        transform_block(move.row0, move.row1, move.row2, move.first, 0, move.count, local, world)
+        if move.order != wp.uint64(0):
+            order = wp.array(ptr=move.order, shape=(move.count,), dtype=int)
+            transform_ordered(move.row0, move.row1, move.row2, move.first, move.count, local, order, world)
+        else:
+            transform_block(move.row0, move.row1, move.row2, move.first, 0, move.count, local, world)
 
 
 class Placing:
@@ -83,19 +103,22 @@ class Placing:
         self._moves = wp.zeros(_MOST if forms.wide(device) else 0, dtype=Move, device=device)
         moves = self._moves.numpy()
         self._rows = [moves[name] for name in ("row0", "row1", "row2")]
-        self._where, self._counts, self._firsts = (moves[name] for name in ("local", "count", "first"))
+        self._where, self._orders, self._counts, self._firsts = (
+            moves[name] for name in ("local", "order", "count", "first")
+        )
         self._count = 0
 
     def begin(self) -> None:
         """Nothing is to be placed, whatever somebody was told who did not end."""
         self._count = 0
 
-    def place(self, pose: FloatArray, first: int, count: int, local: int) -> None:
+    def place(self, pose: FloatArray, first: int, count: int, local: int, order: wp.array | None) -> None:
         """Place the vertices of a mesh, from vertex ``first`` on.
 
         Args:
             pose: (4, 4), of the mesh.
             local: address of the vertices in the wide form.
+            order: of each place which vertex it has, in the wide form; None: each has its own.
         """
         if count == 0:
             return
@@ -108,6 +131,7 @@ class Placing:
         number = self._count
         for rows, row in zip(self._rows, pose, strict=False):
             rows[number] = row
+        self._orders[number] = 0 if order is None else order.ptr
         self._where[number], self._counts[number], self._firsts[number] = local, count, first
         self._count += 1
 

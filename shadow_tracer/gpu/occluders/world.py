@@ -14,7 +14,7 @@ holds more than it need.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -27,6 +27,7 @@ from shadow_tracer.gpu.device.transfers import Uploads
 from shadow_tracer.gpu.exact.records import GAP_VERTEX
 from shadow_tracer.gpu.occluders.changes import Changed, History, Revision
 from shadow_tracer.gpu.occluders.depth_surface import DepthSurfaces
+from shadow_tracer.gpu.occluders.order import MeshOrder, find_order
 from shadow_tracer.gpu.occluders.placing import Placing
 from shadow_tracer.gpu.occluders.slots import Range, Ranges, Room, merged
 from shadow_tracer.scene.bounds import Bounds
@@ -53,13 +54,21 @@ class _Part:
     mesh: Mesh
     find_box: Callable[[], tuple[FloatArray, FloatArray]]  # of its vertices in its own frame
     mesh_pose: FloatArray
-    finite: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)  # box of its vertices, once it is known
+    finite: list[tuple[FloatArray, FloatArray]]  # box of its vertices, once it is known
+    order: MeshOrder | None  # in which triangles and vertices stand; None: that of the mesh
+    settled: bool  # whether one has been looked for
 
     @property
     def slot(self) -> tuple[Range, Range]:
         """Its vertices, and its triangles."""
         vertices = self.first_vertex, self.first_vertex + self.vertex_count
         return vertices, (self.first_triangle, self.first_triangle + self.triangle_count)
+
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Around its finite vertices, in its own frame."""
+        if not self.finite:
+            self.finite.append(self.find_box())
+        return self.finite[0]
 
     def fits(self, mesh: Mesh) -> bool:
         """Whether the mesh may lie there."""
@@ -75,6 +84,8 @@ class SceneBuffers:
 
     Attributes:
         made: what is made of the scene alone, once for all that ask about it.
+        by_sixteens: whether somebody looks at sixteen triangles at once: then meshes that are seen a second time may
+            be put into another order (``order.py``).
         triangle_count, vertex_count: what is looked at: those of meshes and of the gaps between them.
         live_triangles: those of meshes alone.
         left_out: triangles that cast nothing for the time being, see ``leave_out``; ``names_left_out``: what was asked.
@@ -95,7 +106,7 @@ class SceneBuffers:
         self.revision = Revision()
         self.left_out: Ranges = ()
         self.names_left_out: Collection[str] = ()
-        self._ordered = ordered
+        self._ordered, self.by_sixteens = ordered, False
         self._history = History()
         self._box: tuple[Revision, FloatArray, FloatArray] | None = None
         self._parts: dict[str, _Part] = {}
@@ -105,13 +116,17 @@ class SceneBuffers:
     def sync(self, scene: Scene | Some) -> None:
         """Copy what changed in ``scene`` since the last call, of the meshes that cast shadows; all of it after a call
         that raised."""
-        if self._whole and scene.revision == self._copied:
+        if self._whole and scene.revision == self._copied and not self._unsettled():
             return
         if not self._whole:
             self._begin_anew()
         self._whole = False
         self._copy(scene.occluders if isinstance(scene, Scene) and not self._ordered else scene)
         self._whole = True
+
+    def _unsettled(self) -> bool:
+        """Whether there are meshes for which it is time to look for another order."""
+        return self.by_sixteens and not all(part.settled for part in self._parts.values())
 
     def changed_since(self, revision: Revision | None) -> Changed:
         """What is not as it was in an earlier revision; None is before the first."""
@@ -135,15 +150,16 @@ class SceneBuffers:
         for name, part in self._parts.items():
             first, last = part.slot[1]
             if name not in gone and any(begin < last and first < end for begin, end in self.left_out):
-                self._put_triangles(part.mesh, part.first_vertex, first)
+                self._put_triangles(part.mesh, part.first_vertex, first, part.order)
         self.left_out = out
 
-    def _put_triangles(self, mesh: Mesh, first_vertex: int, first: int) -> None:
+    def _put_triangles(self, mesh: Mesh, first_vertex: int, first: int, order: MeshOrder | None) -> None:
         """A mesh's triangles, from number ``first`` on; of a depth image after its vertices."""
         if isinstance(mesh, DepthSurface):
             self._depths.triangles(mesh, self.local, first_vertex, first, self.triangles)
         else:
-            self.upload(self.triangles, mesh.triangles + np.int32(first_vertex), first)
+            triangles = mesh.triangles if order is None else order.triangles
+            self.upload(self.triangles, triangles + np.int32(first_vertex), first)
 
     def _begin_anew(self) -> None:
         """What is there is not known: a revision that nothing has been made for."""
@@ -223,6 +239,10 @@ class SceneBuffers:
         """Number of meshes."""
         return len(self._parts)
 
+    def order_of(self, name: str) -> MeshOrder | None:
+        """The order in which a mesh's triangles and vertices stand; None if it is their own."""
+        return self._parts[name].order
+
     def placed(self) -> list[tuple[Mesh, int, int]]:
         """Each mesh, as it is there, with its first vertex and its first triangle."""
         return [(part.mesh, part.first_vertex, part.first_triangle) for part in self._parts.values()]
@@ -235,22 +255,15 @@ class SceneBuffers:
     def nbytes(self) -> int:
         """Bytes reserved on the device, and by what is made of the scene."""
         own = int(self.local.capacity + self.vertices.capacity + self.triangles.capacity)
+        own += sum(part.order.nbytes() for part in self._parts.values() if part.order is not None)
         return own + self._placing.nbytes() + self._depths.nbytes() + self.made.nbytes()
 
     def _sync_part(self, mesh: Mesh, first_vertex: int, first_triangle: int) -> tuple[_Part, bool, bool]:
         """Copy what changed of a mesh; returns whether its triangles, and its vertices, were there."""
         old = self._parts.get(mesh.name)
-        placed = (
-            old is not None
-            and old.topology == mesh.topology_revision
-            and (old.first_vertex, old.first_triangle) == (first_vertex, first_triangle)
-        )
-        moved = not placed or old is None or old.vertices != mesh.vertices_revision
-        positioned = not moved and old is not None and old.pose == mesh.pose_revision
-        if not positioned:
-            self._place(mesh, first_vertex, moved)
-        if not placed:
-            self._put_triangles(mesh, first_vertex, first_triangle)
+        kept = old if old is not None and old.topology == mesh.topology_revision else None
+        placed = kept is not None and (kept.first_vertex, kept.first_triangle) == (first_vertex, first_triangle)
+        moved = kept is None or not placed or kept.vertices != mesh.vertices_revision
         part = _Part(
             first_vertex,
             first_triangle,
@@ -263,10 +276,20 @@ class SceneBuffers:
             mesh.box if isinstance(mesh, DepthSurface) else partial(_finite_box, mesh.vertices),
             mesh.pose,
             old.finite if old is not None and old.vertices == mesh.vertices_revision else [],
+            None if kept is None else kept.order,
+            kept is not None and kept.settled,
         )
+        if kept is not None and self.by_sixteens and not part.settled:
+            part.order, part.settled = find_order(mesh, part.box, self.device), True
+            placed, moved = placed and part.order is None, moved or part.order is not None
+        positioned = kept is not None and not moved and kept.pose == mesh.pose_revision
+        if not positioned:
+            self._place(mesh, first_vertex, moved, part.order)
+        if not placed:
+            self._put_triangles(mesh, first_vertex, first_triangle, part.order)
         return part, placed, positioned
 
-    def _place(self, mesh: Mesh, first: int, moved: bool) -> None:
+    def _place(self, mesh: Mesh, first: int, moved: bool, order: MeshOrder | None) -> None:
         """A mesh's vertices in the world, from vertex ``first`` on; ``moved``: in its frame they are other ones."""
         if isinstance(mesh, DepthSurface):
             local = int(self._depths.corners(mesh, self.local, first).ptr or 0)
@@ -274,7 +297,7 @@ class SceneBuffers:
             local = mesh.vertices.__array_interface__["data"][0]
             if moved and not forms.wide(self.device):
                 self.upload(self.local, mesh.vertices, first)
-        self._placing.place(mesh.pose, first, mesh.vertex_count, local)
+        self._placing.place(mesh.pose, first, mesh.vertex_count, local, None if order is None else order.vertices)
 
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Low and high corner of a box in the world around all finite vertices; zeros if there are none."""
@@ -285,9 +308,7 @@ class SceneBuffers:
     def _find_box(self) -> tuple[FloatArray, FloatArray]:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for part in self._parts.values():
-            if not part.finite:
-                part.finite.append(part.find_box())
-            least, most = part.finite[0]
+            least, most = part.box()
             if part.triangle_count == 0 or not np.all(least <= most):
                 continue
             rotation, position = part.mesh_pose[:3, :3], part.mesh_pose[:3, 3]
