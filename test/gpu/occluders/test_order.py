@@ -196,7 +196,7 @@ def test_numbers_are_those_of_the_scene() -> None:
         numbers, _ = tracer.cone_hits(apex, way, 0.0, 1)
         np.testing.assert_array_equal(numbers[:, 0], seen[row, column], str(number))
     assert len(row) > 100 and probe_occluders.in_another_order(tracer) == {"ball", "other"}
-    fresh = ShadowTracer("light_grid", device="cpu", bounds=bounds, threads=1)
+    fresh = ShadowTracer("mesh_bvh", device="cpu", bounds=bounds, threads=1)  # where nothing stands otherwise
     for mesh in tracer.scene:
         fresh.scene.put(mesh.name, mesh.vertices, mesh.triangles)
     rng = np.random.default_rng(13)
