@@ -100,7 +100,7 @@ EXCEPTIONS = {
     ),
     "accelerators.height_field.charts/place_positions": Budget(104, reason="float64: a chart's rows and a position"),
     "accelerators.silent/count_silent": Budget(64, 704, reason=_EXACT),
-    "accelerators.height_field.silent/count_in_sun": Budget(64, 704, reason=_EXACT),
+    "accelerators.height_field.silent/count_quads": Budget(64, 704, reason=_EXACT),
     "accelerators.hierarchical_grid.nesting/choose_step": Budget(184, reason="one thread adds up rows"),
     "accelerators.hierarchical_grid.nesting/count_needed": Budget(
         112, reason="float64: a triangle's cells in two grids, and in the one that is planned"
