@@ -24,6 +24,15 @@ struct ChartRay {
         clip(x - low * at.d, dx - low * way.d, from, to);
         clip(high * at.d - x, high * way.d - dx, from, to);
     }
+    // Where on the way to the light there begins what may count: behind the bias, but for a 1e-8 of it.
+    static inline double begins(const wp::vec4d& sample, const wp::vec4d& light) {
+        double sum = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const double way = light[k] - (light[3] != 0.0 ? sample[k] : 0.0);
+            sum += way * way;
+        }
+        return sum > 1.0e-200 ? 0.99999999 * sample[3] / sqrt(sum) : 0.0;
+    }
     inline int place(const DeviceChart& chart, double beside, const wp::vec4d& sample, const wp::vec4d& light) {
         const double x = sample[0] - chart.center[0], y = sample[1] - chart.center[1], z = sample[2] - chart.center[2];
         const double weight = chart.weight * (fabs(x) + fabs(y) + fabs(z)) + chart.weight_constant;
@@ -37,7 +46,7 @@ struct ChartRay {
         const int rows = chart.rows - 1, columns = chart.columns - 1;
         const double along = (double)(rows > columns ? rows : columns);
         const double beyond = 2.0 * CHART_PADDING * along + beside, over = 2.0 * CHART_PADDING * CHART_STEPS;
-        double from = 0.0, to = bounded ? 1.0 : HUGE_VAL;
+        double from = begins(sample, light), to = bounded ? 1.0 : HUGE_VAL;
         clip(at, way, at.s, way.s, -beyond, (double)columns + beyond, from, to);
         clip(at, way, at.t, way.t, -beyond, (double)rows + beyond, from, to);
         clip(at, way, at.h, way.h, -over, CHART_STEPS + over, from, to);

@@ -20,6 +20,12 @@ least D. A ray for which that is above 2^20 is shown all quads (``TOO_FAR``). Be
 2^-30 of exact in these units, for the sample, for every position, and for every point of the ray among them, which is
 the sample's row and a multiple of the direction's. With D at least ``nearest``, s, t and h are then within 2^-29 E.
 
+*The bias.* What hides a sample lies at least as far along its ray as the bias: of anything nearer than 1 - 2e-9 of it
+the exact decision says no (``exact/decision.h``: the distances that it compares are right to 1e-9 each, the rest to a
+few 2^-53). The length of the way to the light, and the division, round by less than 2^-50 more. So a ray begins at 1 -
+1e-8 of its bias (``ChartRay::begins``), which spares it what lies around its sample. Where squares of a way are lost,
+below 1e-200, it begins at the sample. Of a bias beyond the light nothing is left, and the decision says no as well.
+
 *Clipping.* The part of a ray that can meet a triangle of the chart lies within the rows, columns and heights,
 ``beside`` in hand, and each of these is a linear inequality in the parameter of the ray. They are moved outwards by
 2^-18 E, which is much more than 2^-29 and what the division rounds: no part of that is cut off. What is left has D >

@@ -13,7 +13,7 @@ _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sw
 _LOOK = _ROOM + "first_look.h"
 _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
-_DEPTH = "test_depth_charts.py"
+_DEPTH, _BIASED = "test_depth_charts.py", "test_biased_start.py"
 
 
 _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
@@ -45,6 +45,17 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         [(_RAY, "!(beside < 1.0e29) || !(weight <= 0x1p20)", "false")],
     ),
     "rays end before the light": (_FIELD, "terrain", [(_RAY, "bounded ? 1.0 : HUGE_VAL", "bounded ? 0.5 : 1.0")]),
+    "rays begin behind their bias": (
+        _BIASED,
+        "at_the_bias",
+        [(_RAY, "0.99999999 * sample[3]", "1.00000001 * sample[3]")],
+    ),
+    "rays begin far behind their bias": (_BIASED, "biases", [(_RAY, "0.99999999 * sample[3]", "1.1 * sample[3]")]),
+    "the way to the sun has length one": (
+        _BIASED,
+        "any_length",
+        [(_RAY, "0.99999999 * sample[3] / sqrt(sum)", "0.99999999 * sample[3]")],
+    ),
     "one triangle of a quad": (
         _FIELD,
         "sizes",
@@ -94,6 +105,17 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     ),
     "heights of the first triangle of a quad": (_DEPTH, "steps or other", [(_NODES, "j < 6", "j < 3")]),
     "no triangle has a corner at the camera": (_DEPTH, "lies_at_the_camera", [(_NODES, "lost |= !(h == h);", "")]),
+    "no triangle is nearly seen edge-on": (
+        _DEPTH,
+        "edge_on",
+        [(_ROOM + "silent_row.h", "(float)(pad * scale)", "0.0f")],
+    ),
+    "triangles of one diagonal alone are seen edge-on": (
+        _DEPTH,
+        "edge_on",
+        [(_ROOM + "silent_row.h", "if (both)", "if (false)")],
+    ),
+    "a lamp is a sun": (_DEPTH, "edge_on", [(_ROOM + "silent_row.h", "(float)(at.d * scale)", "0.0f")]),
     "the chart of the whole image at every step": (
         _DEPTH,
         "steps",
