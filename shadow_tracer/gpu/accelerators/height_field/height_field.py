@@ -3,7 +3,7 @@
 occluders (maximum mipmaps: Tevs, Ihrke, Seidel 2008; here with the least heights as well, and four by four children).
 
 What has a chart (``charts.py``) is in nodes of least and largest heights; meshes and all other surfaces go through
-another accelerator (``union.py``). A ray is taken into each chart, clipped there, and goes down the nodes; the two
+another accelerator (``union.py``). Rays are taken into each chart, clipped there, and go down the nodes; the two
 triangles of each quad that it may meet are decided from their coordinates in the scene (``visibility/in_place.h``). A
 sun over terrain is swept first (``sweep.py``): most rays need no node then.
 
@@ -40,6 +40,16 @@ have been moved by 2^-6 of one (``ROUNDED``): float32 heights are off by 2^-9 st
 A span below 1e-20 is taken for 1e-20, which moves a point of the ray by that. Beyond the segment's end there is 1e-4 of
 it more. An empty box has a least height above its largest one.
 
+*Sixteen at a time.* On the CPU, tiles of four by four pixels, or sixteen points, go down the nodes as a bundle
+(``bundle.h``): where their rays are at a part p of their segments lies, along each axis, between b + p m and B + p M,
+with the least and the largest begins b, B and spans m, M. Say a ray of begin c and span n, both as rounded, meets a box
+from l to h at p, but for e < 10 u E, so that c + p n >= l - e. With B >= c + 32 u E, but for 1 u E, and M >= n it is p
+M >= l - B + 21 u E. The bundle takes (l - B)/M for where it gets past that side, and the three roundings of at most 2 u
+E each are less than 21 u E, whatever n is: so p lies behind that, or, where M < 0, before it. At the other side it is
+the same with b, h and m. All sides are compared with the same p, which is within what is left of 0 to 1.0001. A bound
+of spans within 1e-20 of zero becomes the wider one of 1e-20. Each quad that the bundle meets is then compared with the
+rays one by one, as above. Rays that lie more than 64 cells apart are bundles of one.
+
 Memory: a quad costs 4.3 bytes in nodes and a position 4 bytes of height, beside 24 bytes of coordinates and, for each
 of two triangles, 12 bytes of numbers: 56 bytes a cell, and as many on the host. For a sun that is swept there are
 20.25 bytes a cell more. No records are made.
@@ -62,7 +72,7 @@ from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.visibility.queries import IN_PLACE, InPlace
 from shadow_tracer.scene.mesh import Mesh
 
-_SIXTEEN = Walk("accelerators/height_field/down16.h", Structure, queries=(IN_PLACE,))
+_SIXTEEN = Walk("accelerators/height_field/packets.h", Structure, lanes=16, queries=(IN_PLACE,))
 _ONE = Walk("accelerators/height_field/down.h", Structure, queries=(IN_PLACE,))
 
 
