@@ -51,9 +51,9 @@ struct WIDE(ChartRay) {
     }
     static inline void clip(Number at, Number way, Number& from, Number& to) {
         const Number place = -at / way, none = -1.0; // what is divided by zero is not looked at
-        from = (way > 0.0) & (place > from) ? place : from;
-        to = (way < 0.0) & (place < to) ? place : to;
-        to = (way == 0.0) & (at < 0.0) ? none : to;
+        from = ((way > 0.0) & (place > from)) ? place : from;
+        to = ((way < 0.0) & (place < to)) ? place : to;
+        to = ((way == 0.0) & (at < 0.0)) ? none : to;
     }
     // Between `low` and `high` in a coordinate.
     static inline void clip(const Homogeneous& at, const Homogeneous& way, Number x, Number dx, double low, double high,
