@@ -58,8 +58,8 @@ class Surfaces(Accelerator):
         structure = self.structure()
         if structure is None:
             return
+        asked.width, asked.triangle_count = samples.width, context.scene.triangle_count
         asked.light, asked.cull = rays.light.light, int(context.records.front_face_culling)
-        asked.triangle_count = context.scene.triangle_count
         asked.positions, asked.states = samples.positions, samples.states_of(rays.first)
         if self.takes_rays(rays.light):
             asked.rays = samples.rays

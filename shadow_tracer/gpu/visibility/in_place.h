@@ -1,17 +1,21 @@
-// needs: exact/decision.h visibility/sides.h
+// needs: exact/decision.h visibility/sides.h device/lanes.h
 // arguments: Asked asked
 // constants: LIT SHADOWED LEAF_TESTS NODES_VISITED RETESTED EXACT COUNTER_ROWS MASK_PAD
-// The query *in place*: whether something hides a ray, decided from the coordinates of the scene, without records and
-// without a queue. A walk may also say that a ray is hidden, or that nothing more hides it, where it has proven it.
-struct InPlace1 {
+// lanes
+// The query *in place*: whether something hides LANES rays, each decided from the coordinates of the scene, without
+// records and without a queue. A walk may also say that a ray is hidden, or that nothing more hides it, where it has
+// proven it.
+struct WIDE(InPlace) {
     enum { SPREADS = 0 };
     const Asked& asked;
-    int ray[1], taken;
-    int hider; // the triangle that hid it, -1 if none has
+    int ray[LANES], taken;
+    int asking; // those that are not known to be hidden, as bits
+    int lane;   // that which triangles are shown to
+    int hider;  // the triangle that hid a ray last, -1 if none has
     wp::int64 tests, nodes, retested, exact;
 
-    inline explicit InPlace1(const Asked& asked)
-        : asked(asked), taken(0), hider(-1), tests(0), nodes(0), retested(0), exact(0) {}
+    inline explicit WIDE(InPlace)(const Asked& asked)
+        : asked(asked), taken(0), asking(0), lane(0), hider(-1), tests(0), nodes(0), retested(0), exact(0) {}
     static inline bool has_ray(const Asked& asked, int number) {
         return !asked.rays.shape[0] || asked.rays.data[number][0] == asked.rays.data[number][0];
     }
@@ -20,14 +24,52 @@ struct InPlace1 {
             return;
         if (asked.states.data[number] != LIT || !has_ray(asked, number))
             return;
+#if LANES == 1
+        // No index at run time: compilers for CUDA would put the query into local memory, with all that it refers to.
         ray[0] = number;
         taken = 1;
+#else
+        ray[taken++] = number;
+#endif
     }
-    // Whether that part of the structure that was looked at before does not hide the ray.
-    inline bool passes() const { return asked.passed.shape[0] && asked.passed.data[ray[0]]; }
-    inline bool full() const { return taken == 1; }
-    inline void begin() { hider = -1; }
-    inline void hide() { asked.states.data[ray[0]] = SHADOWED; }
+    // That which triangles are shown to.
+    inline int number() const {
+#if LANES == 1
+        return ray[0];
+#else
+        return ray[lane];
+#endif
+    }
+    // Those that the part of the structure that was looked at before does not hide, as bits.
+    inline int passing() const {
+        int found = 0;
+        if (asked.passed.shape[0])
+            for (int j = 0; j < taken; ++j)
+                found |= (asked.passed.data[ray[j]] != 0) << j;
+        return found;
+    }
+    inline bool full() const { return taken == LANES; }
+    inline int count() const { return asked.states.shape[0]; } // of rays
+    inline void begin() {
+        hider = -1;
+        lane = 0;
+        asking = WIDE(Lanes)::ALL >> (LANES - taken);
+    }
+    inline void hide() {
+        asked.states.data[number()] = SHADOWED;
+        asking &= ~(1 << lane);
+    }
+    // Positions of the samples, and their biases; lanes without a ray repeat the first one.
+    inline void samples(WIDE(Double) (&at)[4]) const {
+#if LANES == 1
+        for (int k = 0; k < 4; ++k)
+            at[k] = sample()[k];
+#else
+        for (int j = 0; j < LANES; ++j)
+            for (int k = 0; k < 4; ++k)
+                at[k][j] = asked.positions.data[ray[j < taken ? j : 0]][k];
+#endif
+    }
     static inline bool same(const wp::vec3d& p, const wp::vec3d& q) {
         return p[0] == q[0] && p[1] == q[1] && p[2] == q[2];
     }
@@ -94,7 +136,7 @@ struct InPlace1 {
         int used = 0;
         if (asked.cull != 0 && Determinant::sign(asked.light, b, c, a, value, used) >= 0)
             return false; // its front faces the light
-        const int answer = Decision::of(asked.positions.data[ray[0]], asked.light, a, b, c);
+        const int answer = Decision::of(at, asked.light, a, b, c);
         exact += answer >> 1;
         if (!(answer & 1))
             return false;
@@ -108,7 +150,7 @@ struct InPlace1 {
                 return;
     }
     inline int triangle_count() const { return asked.triangle_count; }
-    inline const wp::vec4d& sample() const { return asked.positions.data[ray[0]]; }
+    inline const wp::vec4d& sample() const { return asked.positions.data[number()]; }
     inline const wp::vec4d& light() const { return asked.light; }
     static inline wp::vec3d spread() { return wp::vec3d(); }
     static inline bool shortened(double& metres) { return false; }
@@ -122,4 +164,4 @@ struct InPlace1 {
                 wp::atomic_add(counter + columns[k], counts[k]);
     }
 };
-typedef InPlace1 Query1;
+typedef WIDE(InPlace) WIDE(Query);

@@ -95,6 +95,7 @@ class InPlace:
     """Whether anything hides the rays of one light, decided where it is shown, from the coordinates of the scene: for
     walks that show a ray a few triangles, of which records would cost more than they save."""
 
+    width: int  # of the image that the samples come from; 0 if they are a list of points
     light: wp.vec4d
     cull: int
     triangle_count: int

@@ -1,17 +1,38 @@
 // needs: visibility/in_place.h accelerators/height_field/chart_ray.h
 // arguments: Structure structure, DeviceChart wp::load(structure.charts.data)
-// What becomes of a ray at a chart before its nodes are looked at.
-struct AtChart {
-    enum { PASSES, ENDS, ENTERS };
-    // Where it enters, `ray` is the ray in the chart.
-    static inline int come(const Structure& structure, int number, ChartRay& ray, Query1& query) {
+// lanes
+// What becomes of LANES rays at a chart before its nodes are looked at, and of a ray at a quad.
+struct WIDE(AtChart) {
+    // Shows all of a chart.
+    static inline void everything(const DeviceChart& chart, WIDE(Query) & query) {
+        const int count = 2 * (chart.rows - 1) * (chart.columns - 1);
+        for (int k = 0; k < count; ++k)
+            if (query.visit(chart.first_triangle + k))
+                return;
+    }
+    // Those that enter it, as bits: as `ray`.
+    static inline int come(const Structure& structure, int number, WIDE(ChartRay) & ray, WIDE(Query) & query) {
         const auto& chart = structure.charts.data[number];
-        const double beside = structure.beside.data[number];
-        if (number == structure.sweep.number && query.passes())
-            return PASSES;
-        const int place = ray.place(chart, beside, query.sample(), query.light());
-        if (place == ChartRay::TOO_FAR)
-            return ChartRay::everything(chart, query) ? ENDS : PASSES;
-        return place == ChartRay::MEETS ? ENTERS : PASSES;
+        const int some = number == structure.sweep.number ? query.asking & ~query.passing() : query.asking;
+        if (!some)
+            return 0;
+        WIDE(Double) samples[4];
+        query.samples(samples);
+        ray.place(chart, structure.beside.data[number], samples, query.light());
+#if LANES == 1
+        if (ray.far)
+            everything(chart, query);
+#else
+        for (int left = ray.far & some; left; left &= left - 1) {
+            query.lane = __builtin_ctz(left);
+            everything(chart, query);
+        }
+#endif
+        return ray.meets & some;
+    }
+    // Shows the two triangles of a quad; true if one hides the ray.
+    static inline bool show(const DeviceChart& chart, int row, int column, WIDE(Query) & query) {
+        const int first = chart.first_triangle + 2 * (row * (chart.columns - 1) + column);
+        return query.visit(first) || query.visit(first + 1);
     }
 };

@@ -24,7 +24,7 @@ struct WIDE(FirstLook) {
             const wp::vec4d& at = asked.positions.data[ray];
             for (int k = 0; k < 4; ++k)
                 each[k][j] = at[k];
-            each[4][j] = (j < count) & (asked.states.data[ray] == LIT) & InPlace1::has_ray(asked, ray);
+            each[4][j] = (j < count) & (asked.states.data[ray] == LIT) & WIDE(InPlace)::has_ray(asked, ray);
         }
         const Number sample[4] = { Profile::load(each[0]), Profile::load(each[1]), Profile::load(each[2]),
                                    Profile::load(each[3]) };

@@ -3,7 +3,7 @@
 occluders (maximum mipmaps: Tevs, Ihrke, Seidel 2008; here with the least heights as well, and four by four children).
 
 What has a chart (``charts.py``) is in nodes of least and largest heights; meshes and all other surfaces go through
-another accelerator (``union.py``). A ray is taken into each chart, clipped there, and goes down the nodes; the two
+another accelerator (``union.py``). Rays are taken into each chart, clipped there, and go down the nodes; the two
 triangles of each quad that it may meet are decided from their coordinates in the scene (``visibility/in_place.h``). A
 sun over terrain is swept first (``sweep.py``): most rays need no node then.
 
@@ -20,6 +20,12 @@ least D. A ray for which that is above 2^20 is shown all quads (``TOO_FAR``). Be
 2^-30 of exact in these units, for the sample, for every position, and for every point of the ray among them, which is
 the sample's row and a multiple of the direction's. With D at least ``nearest``, s, t and h are then within 2^-29 E.
 
+*The bias.* What hides a sample lies at least as far along its ray as the bias: of anything nearer than 1 - 2e-9 of it
+the exact decision says no (``exact/decision.h``: the distances that it compares are right to 1e-9 each, the rest to a
+few 2^-53). The length of the way to the light, and the division, round by less than 2^-50 more. So a ray begins at 1 -
+1e-8 of its bias (``ChartRay::begins``), which spares it what lies around its sample. Where squares of a way are lost,
+below 1e-200, it begins at the sample. Of a bias beyond the light nothing is left, and the decision says no as well.
+
 *Clipping.* The part of a ray that can meet a triangle of the chart lies within the rows, columns and heights,
 ``beside`` in hand, and each of these is a linear inequality in the parameter of the ray. They are moved outwards by
 2^-18 E, which is much more than 2^-29 and what the division rounds: no part of that is cut off. What is left has D >
@@ -33,6 +39,16 @@ E that it is padded with: 2^-19 E, and ``beside`` in s and t. Heights are rounde
 have been moved by 2^-6 of one (``ROUNDED``): float32 heights are off by 2^-9 steps, and 2^-13 from what float64 rounds.
 A span below 1e-20 is taken for 1e-20, which moves a point of the ray by that. Beyond the segment's end there is 1e-4 of
 it more. An empty box has a least height above its largest one.
+
+*Sixteen at a time.* On the CPU, tiles of four by four pixels, or sixteen points, go down the nodes as a bundle
+(``bundle.h``): where their rays are at a part p of their segments lies, along each axis, between b + p m and B + p M,
+with the least and the largest begins b, B and spans m, M. Say a ray of begin c and span n, both as rounded, meets a box
+from l to h at p, but for e < 10 u E, so that c + p n >= l - e. With B >= c + 32 u E, but for 1 u E, and M >= n it is p
+M >= l - B + 21 u E. The bundle takes (l - B)/M for where it gets past that side, and the three roundings of at most 2 u
+E each are less than 21 u E, whatever n is: so p lies behind that, or, where M < 0, before it. At the other side it is
+the same with b, h and m. All sides are compared with the same p, which is within what is left of 0 to 1.0001. A bound
+of spans within 1e-20 of zero becomes the wider one of 1e-20. Each quad that the bundle meets is then compared with the
+rays one by one, as above. Rays that lie more than 64 cells apart are bundles of one.
 
 Memory: a quad costs 4.3 bytes in nodes and a position 4 bytes of height, beside 24 bytes of coordinates and, for each
 of two triangles, 12 bytes of numbers: 56 bytes a cell, and as many on the host. For a sun that is swept there are
@@ -56,7 +72,7 @@ from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.visibility.queries import IN_PLACE, InPlace
 from shadow_tracer.scene.mesh import Mesh
 
-_SIXTEEN = Walk("accelerators/height_field/down16.h", Structure, queries=(IN_PLACE,))
+_SIXTEEN = Walk("accelerators/height_field/packets.h", Structure, lanes=16, queries=(IN_PLACE,))
 _ONE = Walk("accelerators/height_field/down.h", Structure, queries=(IN_PLACE,))
 
 

@@ -1,12 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Triangles of charts that cast nothing for a light, counted without making their records.
 
-Of terrain in the sun most quads are sure not to have any, at a glance at their heights: a triangle with the slopes
-``(ds, dt)``, in steps from column to column and row to row, is seen edge-on, or has no area, only if ``h = s ds + t
-dt``, with (s, t, h) the way to the sun in the chart. Heights are off by 2^-8 steps and positions by ``SWEEP_BESIDE`` of
-their places at most (else this is not used), which makes slopes, of at most 2^16 steps, wrong by 2^-7 + 2^-8; float32
-rounds the differences and products by 2^-7 (abs(s) + abs(t)) and 2^-22 abs(h) more. Together less than 2^-5 (abs(s) +
-abs(t)) + 2^-20 abs(h). What is not sure, quads with a position that is not valid among it, is decided exactly.
+Most quads are sure not to have any, at a glance at their heights. Let (S, T, H, D) be the light in the chart, a
+direction or a position. A triangle with the slopes ``(ds, dt)``, in steps from column to column and row to row, and a
+corner at (s, t, h) is seen edge-on, or has no area, only if ``H - h D = ds (S - s D) + dt (T - t D)``.
+
+Heights are off by 2^-8 steps and positions by ``BESIDE`` of their places at most (else this is not used), which makes
+slopes, of at most 2^16 steps, wrong by 2^-7 + 2^-8 with the rounding of their difference. In float32, the light is
+rounded to 2^-24, and each product and difference to as much: with n = rows + columns, ``S - s D`` is off by 2^-23
+abs(S) + 2^-22 n abs(D), which meets a slope; a product of that and a slope, the slope's own error, and two differences
+add less than 2^-5 of abs(S) + n abs(D) together, and of T the same; ``H - h D`` is off by 2^-23 abs(H) + 2^-6 abs(D).
+Altogether less than 2^-4 (abs(S) + abs(T) + n abs(D)) + 2^-20 abs(H). The light itself is made in float64: a row is off
+by 2^-50 of what it is a sum of, which ``weight`` and ``weight_constant`` bound (``height_field.py``); slopes and places
+make 2^-32 n of that, in units of ``nearest``. What is not sure, quads with a position that is not valid among it, is
+decided exactly.
+
+Quads of a depth image are cut along either diagonal, and a triangle over a step in depth is not there: there all four
+that might be have to be sure.
 """
 
 from __future__ import annotations
@@ -36,7 +46,7 @@ def count_row(
 
 
 @wp.kernel(enable_backward=False)
-def count_in_sun(
+def count_quads(
     number: int,
     light: wp.vec4d,
     structure: Structure,
@@ -67,9 +77,9 @@ class Silent:
         scene, sums = self._scene, self._sums
         sums.begin()
         for number, placed in enumerate(charts.placed):
-            if placed.chart.parallel and light.light[3] == 0.0 and not cull and not scene.left_out:
+            if not cull and not scene.left_out:
                 inputs = [number, light.light, charts.structure, scene.vertices, scene.triangles, sums.counts]
-                wp.launch(count_in_sun, dim=placed.grid[0] - 1, inputs=inputs, device=scene.device)
+                wp.launch(count_quads, dim=placed.grid[0] - 1, inputs=inputs, device=scene.device)
             else:
                 sums.add(placed.first_triangle, placed.mesh.triangle_count, light, cull)
         return sums.total()

@@ -99,6 +99,57 @@ def test_a_triangle_whose_corner_lies_at_the_camera(any_device: str) -> None:
     assert probe.charts(tracer)[0] == ["depth"] and (states == 1).mean() > 0.5
 
 
+@pytest.mark.parametrize("kind", ["image", "surface"])
+@pytest.mark.parametrize("pose", [np.eye(4), turned(2.0, (1, 2, -0.5), (3.0, 5.0, 2.0))], ids=["straight", "turned"])
+def test_triangles_that_a_light_sees_edge_on(any_device: str, pose: np.ndarray, kind: str) -> None:
+    """Walls and slopes with a lamp in their plane, or beside it by next to nothing, and suns along them: counted as
+    brute_force counts them."""
+    depth = np.full((24, 33), 2.0, np.float32)
+    depth[:, 11:22] = 4.0
+    depth[:, 22:] = 1.0 / (0.25 + np.arange(11, dtype=np.float32) / 64)  # a plane, all but rounded
+    depth[3:5, 5:9] = 0.0
+    camera = Camera(33, 24, 32.0, 32.0, 16.0, 12.0, pose)
+
+    def show(scene: Any) -> None:
+        if kind == "image":
+            scene.put_depth("depth", depth, camera, 1, 0.05)
+        else:
+            positions = (camera.unproject(depth.astype(np.float64)) - pose[:3, 3]) @ pose[:3, :3]
+            scene.put_surface("depth", positions, depth > 0, pose)
+
+    places = [(0.3, 0.2, 2.0), (0.3, 0.2, 2.0 + 1e-12), (0.3, 0.2, 2.0 - 1e-5), (0, 0, 4.0), (0, 0.5, 0), (0, 0.5, -1)]
+    ways = [(1.0, 0.5, 0.0), (1.0, 0.5, 1e-13), (0.0, 1.0, 0.0), (1e-9, 1.0, 1e-6)]
+    lights: list[Any] = [PointLight(f"lamp {k}", moved(pose, np.array(each))) for k, each in enumerate(places)]
+    lights += [DirectionalLight(f"sun {k}", pose[:3, :3] @ np.array(each)) for k, each in enumerate(ways)]
+    points = moved(pose, np.random.default_rng(11).uniform((-2, -2, 0), (2, 2, 5), (60, 3)))
+    silent = []
+    for light in lights:
+        _, counters, tracer = agree(any_device, show, points, [light])
+        silent.append(counters["degenerate"])
+    assert probe.charts(tracer)[0] == ["depth"] and (max(silent) > 400 or not np.array_equal(pose, np.eye(4)))
+
+
+def test_single_triangles_that_a_light_sees_edge_on(any_device: str) -> None:
+    """Of a rough image, cut along both diagonals: lamps in the plane of one triangle each, and suns."""
+    rng = np.random.default_rng(12)
+    depth = (2.0 + rng.integers(-8, 9, (9, 9)) / 64.0).astype(np.float32)
+    camera = Camera(9, 9, 32.0, 32.0, 4.0, 4.0)
+    known = surfaces.tracer(any_device, "brute_force")
+    known.scene.put_depth("depth", depth, camera, 1, 1e6)
+    mesh, lights = known.scene["depth"], []
+    rising = [k for k, each in enumerate(mesh.triangles) if each.max() - each.min() == 9 and len(set(each)) == 3]
+    for number, k in enumerate(rng.choice(rising, 8, replace=False)):
+        a, b, c = mesh.vertices[mesh.triangles[k]]
+        lights.append(PointLight(f"lamp {number}", a + 5.0 * (b - a) - 3.0 * (c - a)))
+        lights.append(DirectionalLight(f"sun {number}", 5.0 * (b - a) - 3.0 * (c - a)))
+    points = rng.uniform((-0.3, -0.3, 1.0), (0.3, 0.3, 3.0), (100, 3))
+    for light in lights:
+        _, counters, _ = agree(
+            any_device, lambda scene: scene.put_depth("depth", depth, camera, 1, 1e6), points, [light]
+        )
+        assert counters["degenerate"] >= 1
+
+
 def test_images_one_after_the_other(any_device: str) -> None:
     """Of other sizes and poses, beside a mesh, moved, in place of a surface and the other way round."""
     rng = np.random.default_rng(8)

@@ -13,7 +13,8 @@ _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sw
 _LOOK = _ROOM + "first_look.h"
 _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
-_DEPTH = "test_depth_charts.py"
+_PACKETS, _BUNDLE = "test_packets.py", _ROOM + "bundle.h"
+_DEPTH, _BIASED = "test_depth_charts.py", "test_biased_start.py"
 
 
 _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
@@ -21,8 +22,8 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _FIELD,
         "corners_of_boxes or rows_columns or plane",
         [
-            (_RAY, "above[k] = (float)first[k] + pads[k]", "above[k] = (float)first[k]"),
-            (_RAY, "below[k] = (float)first[k] - pads[k]", "below[k] = (float)first[k]"),
+            (_RAY, "above[k] = start + pads[k]", "above[k] = start"),
+            (_RAY, "below[k] = start - pads[k]", "below[k] = start"),
             (_NODES, "floorf(low - (float)CHART_ROUNDED)", "ceilf(low)"),
             (_NODES, "ceilf(high + (float)CHART_ROUNDED)", "floorf(high)"),
         ],
@@ -34,21 +35,66 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
             (_RAY, "2.0 * CHART_PADDING * along + beside", "2.0 * CHART_PADDING * along"),
             (
                 _RAY,
-                "const float pads[3] = { (float)((CHART_PADDING * along + beside) * 1.0001),",
-                "const float pads[3] = { (float)(CHART_PADDING * along),",
+                "const float pad = (float)((CHART_PADDING * along + beside) * 1.0001);",
+                "const float pad = (float)(CHART_PADDING * along);",
             ),
         ],
     ),
     "samples of any distance": (
         _FIELD,
         "far_away or lost",
-        [(_RAY, "!(beside < 1.0e29) || !(weight <= 0x1p20)", "false")],
+        [
+            (_RAY, "beside < 1.0e29 ?", "true ?"),
+            (_RAY, "(Lanes::ALL & ~bits(weight <= 0x1p20)) |", ""),
+        ],
     ),
     "rays end before the light": (_FIELD, "terrain", [(_RAY, "bounded ? 1.0 : HUGE_VAL", "bounded ? 0.5 : 1.0")]),
+    "rays begin behind their bias": (
+        _BIASED,
+        "at_the_bias",
+        [(_RAY, "0.99999999 * bias", "1.00000001 * bias")],
+    ),
+    "rays begin far behind their bias": (_BIASED, "biases", [(_RAY, "0.99999999 * bias", "1.1 * bias")]),
+    "the way to the sun has length one": (
+        _BIASED,
+        "any_length",
+        [(_RAY, "0.99999999 * bias / root(sum)", "0.99999999 * bias")],
+    ),
+    "a bundle begins where its first ray does": (
+        _PACKETS,
+        "usual_form",
+        [
+            (_BUNDLE, "above[k] = largest(some ? ray.above[k] : none);", "above[k] = ray.above[k][0];"),
+            (_BUNDLE, "below[k] = -largest(some ? -ray.below[k] : none);", "below[k] = ray.below[k][0];"),
+        ],
+    ),
+    "a bundle goes where its first ray does": (
+        _PACKETS,
+        "usual_form",
+        [
+            (_BUNDLE, "most[k] = largest(some ? ray.span[k] : none);", "most[k] = ray.span[k][0];"),
+            (_BUNDLE, "least[k] = -largest(some ? -ray.span[k] : none);", "least[k] = ray.span[k][0];"),
+        ],
+    ),
+    "all rays of a bundle go one way": (
+        _PACKETS,
+        "usual_form",
+        [(_BUNDLE, "if (least[k] > 0.0f)", "if (most[k] > 0.0f)")],
+    ),
+    "a packet is done when one ray is": (
+        _PACKETS,
+        "usual_form",
+        [(_ROOM + "packets.h", "if (!(lanes & query.asking))", "if (lanes & ~query.asking)")],
+    ),
+    "rays far apart are the first one": (
+        _PACKETS,
+        "usual_form",
+        [(_ROOM + "packets.h", "const int one = lanes & -lanes;", "const int one = 1;")],
+    ),
     "one triangle of a quad": (
         _FIELD,
         "sizes",
-        [(_RAY, "query.visit(first) || query.visit(first + 1)", "query.visit(first)")],
+        [(_ROOM + "at_chart.h", "query.visit(first) || query.visit(first + 1)", "query.visit(first)")],
     ),
     "children of the last node alone": (
         _FIELD,
@@ -94,6 +140,17 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     ),
     "heights of the first triangle of a quad": (_DEPTH, "steps or other", [(_NODES, "j < 6", "j < 3")]),
     "no triangle has a corner at the camera": (_DEPTH, "lies_at_the_camera", [(_NODES, "lost |= !(h == h);", "")]),
+    "no triangle is nearly seen edge-on": (
+        _DEPTH,
+        "edge_on",
+        [(_ROOM + "silent_row.h", "(float)(pad * scale)", "0.0f")],
+    ),
+    "triangles of one diagonal alone are seen edge-on": (
+        _DEPTH,
+        "edge_on",
+        [(_ROOM + "silent_row.h", "if (both)", "if (false)")],
+    ),
+    "a lamp is a sun": (_DEPTH, "edge_on", [(_ROOM + "silent_row.h", "(float)(at.d * scale)", "0.0f")]),
     "the chart of the whole image at every step": (
         _DEPTH,
         "steps",
@@ -258,5 +315,5 @@ def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels
     tests, some, changes = _MUTANTS[mutant]
     failed = failing_tests(changes, f"accelerators/height_field/{tests}", some, tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
-    assert any(in_cuda_form), f"the form of CUDA does not see it: {failed}"
+    assert "usual_form" in some or any(in_cuda_form), f"the form of CUDA does not see it: {failed}"
     assert "cuda_form" in some or not all(in_cuda_form), f"the wide form does not see it: {failed}"
