@@ -20,8 +20,7 @@ struct MeshOrder {
                                  const wp::array_t<int>& numbers, const wp::array_t<int>& keys) {
         for (int t = 0; t < count; ++t) {
             const wp::vec3i& corner = triangles.data[numbers.data[t]];
-            const wp::vec3d &a = vertices.data[corner[0]], &b = vertices.data[corner[1]],
-                            &c = vertices.data[corner[2]];
+            const wp::vec3d &a = vertices.data[corner[0]], &b = vertices.data[corner[1]], &c = vertices.data[corner[2]];
             int key = 0;
             for (int k = 0; k < 3; ++k)
                 key |= spread_bits(cell(a[k] + b[k] + c[k], low[k], cells) >> shift & 1023) << k;
