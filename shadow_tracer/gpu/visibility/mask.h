@@ -88,19 +88,12 @@ struct PointMask1 {
     // Takes in what a filter has found: the points that a triangle surely hides, and those that it may hide, as bits.
     inline void judged(int triangle, wp::uint64 sure, wp::uint64 maybe) {
         wp::uint64 hidden = open & maybe;
-        if (!hidden || !casts(triangle))
-            return;
         for (wp::uint64 left = asked.cull == 0 ? hidden & ~sure : hidden; left; left &= left - 1)
             if (!hides(lowest(left), triangle))
                 hidden &= ~(left & -left);
         open &= ~hidden;
         if (hidden)
             hider = triangle;
-    }
-    // Meshes that a light ignores have no finite corners while its points are asked about; trees have them all the
-    // same.
-    inline bool casts(int triangle) const {
-        return wp::isfinite(asked.vertices.data[asked.triangles.data[triangle][0]]);
     }
     inline bool hides(int k, int triangle) {
         const wp::vec3i& corner = asked.triangles.data[triangle];

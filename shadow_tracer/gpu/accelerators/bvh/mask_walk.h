@@ -45,12 +45,16 @@ struct Walk1 {
     }
     // Shows a block; true if no point is seen any more.
     inline bool block(int number, Query1& query) {
+        const int casting = tree.left_out ? tree.casting_blocks.data[number] : (int)Lanes16::ALL;
+        if (!casting)
+            return false;
         const int* members = tree.members.data + TREE_LANES * (size_t)number;
         const float* rows = tree.rows.data + BLOCK_ROWS * TREE_LANES * (size_t)number;
         if (looks)
             filter.judge(rows);
         else
             filter.may = Lanes16::ALL, filter.all = filter.told = 0;
+        filter.may &= casting;
         range.known = range.missed = 0;
         if (ranges && __builtin_popcount(filter.may & ~filter.all) >= SEVERAL)
             range.judge(rows, filter.at, filter.place);
@@ -102,7 +106,7 @@ struct Walk1 {
             const int* children = tree.links.data + TREE_LANES * (size_t)link;
             Bundle16 bundle;
             bundle.enter(bounds, bounds + 3, sides, longest);
-            int met = bundle.met;
+            int met = tree.left_out ? bundle.met & tree.casting_nodes.data[link] : bundle.met;
             const bool boxed = ranges && __builtin_popcount(met) >= 3;
             if (boxed) {
                 range.boxes(bounds, filter.at, filter.place);
