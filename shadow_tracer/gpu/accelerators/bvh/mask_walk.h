@@ -5,7 +5,8 @@
 // A sample, and all points of a light, through the tree with sixteen children per node.
 struct Walk1 {
     // Of each level at most all children but one wait.
-    enum { DEPTH = TREE_LANES * (LEVELS + 1) };
+    // Children of a node that a bundle must meet for their ranges to be asked for.
+    enum { DEPTH = TREE_LANES * (LEVELS + 1), MANY = 3 };
     // As many triangles of a block must be left for their ranges to be worth it.
     enum { SEVERAL = 2 };
     MaskFilter filter;
@@ -107,19 +108,20 @@ struct Walk1 {
             Bundle16 bundle;
             bundle.enter(bounds, bounds + 3, sides, longest);
             int met = tree.left_out ? bundle.met & tree.casting_nodes.data[link] : bundle.met;
-            const bool boxed = ranges && __builtin_popcount(met) >= 3;
-            if (boxed) {
+            const bool boxed = ranges && __builtin_popcount(met) >= MANY && query.spares.worth(query.nodes);
+            if (boxed)
                 range.boxes(bounds, filter.at, filter.place);
-                met &= ~range.missed;
-            }
-            for (; met; met &= met - 1) {
-                const int lane = __builtin_ctz(met), child = children[lane];
+            const int begin = top;
+            for (int left = boxed ? met & ~range.missed : met; left; left &= left - 1) {
+                const int lane = __builtin_ctz(left), child = children[lane];
                 if (child == TREE_NONE)
                     continue;
                 points[top] = boxed ? range.points(lane, query.asked.beyond.data) : ~(wp::uint64)0;
                 links[top] = child;
                 top += (points[top] & query.open) != 0;
             }
+            if (boxed)
+                query.spares.learn(__builtin_popcount(met) - (top - begin));
         }
     }
     static inline void walk(const Tree& tree, Query1& query) {
