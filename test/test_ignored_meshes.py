@@ -134,6 +134,28 @@ def test_sequences_in_which_everything_changes(any_device: str, names: str, cull
             assert tracer.verify(depth, _CAMERA, lights, Bias(0.01)) == 0
 
 
+@pytest.mark.parametrize("variant", ["sah", "median"])
+def test_trees_know_what_is_left_out(any_device: str, variant: str) -> None:
+    """Other meshes are left out, the same of another scene, of one that has moved, none, and the first ones again."""
+    tracer = ShadowTracer("bvh", variant, any_device, Bounds(**_BOUNDS))
+    rng, meshes = np.random.default_rng(203), dict(_MESHES)
+    panel = RectangleLight("panel", (0.5, 0.25, 3.0), (0.0, 0.5, 0.0), (0.5, 0.0, 0.0), two_sided=True)
+    points, ways = rng.uniform(-2.0, 2.0, (200, 3)), ((), ("shade", "ball"), ("shade", "rubble"), ("shade", "ball"))
+    _put(tracer, meshes)
+    for step in range(3):
+        for ignore in ways:
+            light = replace(panel, ignore=ignore)
+            true = _expected(any_device, points, [light], meshes, 0.01)
+            np.testing.assert_array_equal(tracer.light_bits(points, [light], 0.01), true, err_msg=f"{step} {ignore}")
+        if step:
+            vertices, triangles = meshes["rubble"]
+            meshes["rubble"] = vertices + rng.uniform(-0.3, 0.3, vertices.shape), triangles
+            tracer.scene.deform("rubble", meshes["rubble"][0])
+        else:
+            meshes["rubble"] = geometry.soup(rng, 150, 0.4, 1.5)
+            _put(tracer, meshes)
+
+
 def test_nothing_is_made_again_for_lights_that_ignore_nothing(any_device: str) -> None:
     """A frame with a light that ignores a mesh leaves what was made for the others."""
     tracer = ShadowTracer("mesh_bvh", device=any_device, bounds=Bounds(**_BOUNDS))

@@ -55,6 +55,16 @@ struct WIDE(Lanes) {
         return __builtin_convertvector(x, MASK);
 #endif
     }
+    // One over it, within 2^-14 of that.
+    static inline REAL inverse(REAL x) {
+#if LANES == 16 && defined(__AVX512F__)
+        typedef float Sixteen __attribute__((vector_size(64)));
+        const Sixteen all = __builtin_bit_cast(Sixteen, x);
+        return __builtin_bit_cast(REAL, __builtin_ia32_rcp14ps512_mask(all, all, (unsigned short)ALL));
+#else
+        return 1.0f / x;
+#endif
+    }
     static inline REAL load(const float* from) { return *(const REAL*)from; }
     static inline void store(float* to, REAL x) { *(REAL*)to = x; }
 };

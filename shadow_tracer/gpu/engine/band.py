@@ -186,10 +186,11 @@ class Band:
         asked.offsets, asked.beyond = self._offsets, self._beyond
         if len(self._offsets):
             samples.upload(self._offsets, _padded(offsets))
-            flat = mask_range.sides_of(offsets)
-            if flat:
-                asked.flat, asked.u, asked.v = 1, wp.vec3d(*flat[0][0]), wp.vec3d(*flat[0][1])
-                samples.upload(self._beyond, flat[1].reshape(-1))
+            sides = mask_range.sides_of(offsets)
+            if sides:
+                asked.ranges, asked.radius = 1, sides.radius
+                asked.u, asked.v = wp.vec3d(*sides.u), wp.vec3d(*sides.v)
+                samples.upload(self._beyond, sides.beyond.reshape(-1))
         asked.positions, asked.states, asked.seen = samples.positions, samples.states_of(place), samples.seen
         asked.vertices, asked.triangles, asked.triangle_count = scene.vertices, scene.triangles, scene.triangle_count
         asked.cull, asked.counters = int(records.front_face_culling), samples.counters

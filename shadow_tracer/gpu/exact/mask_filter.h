@@ -4,7 +4,8 @@
 // Sixteen triangles against up to 64 points of a light, as a sample sees them, in float32: which points a triangle
 // surely hides, and which it may hide; mask_filter.py derives the bands.
 struct MaskFilter {
-    enum { MOST = MASK_MOST, FORMS = 4 };
+    // Up to so many points are judged one by one, more by sixteen in a row.
+    enum { MOST = MASK_MOST, FORMS = 4, FEW = 4 };
     // A sample and the light; see mask_filter.py.
     float at[3], middle[3], extent[3];
     float place, reach, unit, nearest, farthest, w; // Q, L, m, least and most bias, 1 or 0 at infinity
@@ -33,8 +34,8 @@ struct MaskFilter {
         nearest = (float)(ahead / (MASK_SLACK * longest));
         return sum > MASK_SMALLEST && sum < MASK_LARGEST && metres > MASK_SMALLEST && metres < MASK_LARGEST;
     }
-    static inline Real16 smaller(Real16 x, Real16 y) { return __builtin_elementwise_min(x, y); }
-    static inline Real16 larger(Real16 x, Real16 y) { return __builtin_elementwise_max(x, y); }
+    static inline Real16 smaller(Real16 x, Real16 y) { return x < y ? x : y; }
+    static inline Real16 larger(Real16 x, Real16 y) { return x > y ? x : y; }
     // A linear form: what it is in the middle, and how far from that at any point.
     struct Form {
         Real16 x, y, z, value, beside;
@@ -95,11 +96,22 @@ struct MaskFilter {
             return;
         const Real16 low = smaller(smaller(u - first.beside, v - second.beside), t - third.beside);
         all = told & Lanes16::bits((low > band) & (beyond - both > none));
-        const Real16 per_band = sign / band, per_both = sign / (there + here);
+        const Real16 per_band = sign * Lanes16::inverse(band), per_both = sign * Lanes16::inverse(there + here);
         first.put(forms[0], per_band, first.value);
         second.put(forms[1], per_band, second.value);
         third.put(forms[2], per_band, third.value);
         plane.put(forms[3], per_both, plane.value - w * off);
+    }
+    // The least form of a triangle at a point.
+    inline float one(int triangle, const float* at) const {
+        CONTRACTED
+        float least = 2.0f;
+        for (int form = 0; form < FORMS; ++form) {
+            const float value = forms[form][0][triangle] + forms[form][1][triangle] * at[0]
+                                + forms[form][2][triangle] * at[MOST] + forms[form][3][triangle] * at[2 * MOST];
+            least = value < least ? value : least;
+        }
+        return least;
     }
     // Of one: which points are surely hidden and which may be, as bits, of sixteen in a row all or none.
     // offsets: MOST along each axis; wanted: those that are asked about, as bits.
@@ -107,6 +119,14 @@ struct MaskFilter {
                        wp::uint64& maybe) const {
         CONTRACTED
         sure = maybe = 0;
+        if (__builtin_popcountll(wanted) <= FEW) {
+            for (wp::uint64 left = wanted; left; left &= left - 1) {
+                const float least = one(triangle, offsets + __builtin_ctzll(left));
+                sure |= least > 1.0f ? left & -left : 0;
+                maybe |= least > -1.0f ? left & -left : 0;
+            }
+            return;
+        }
         for (int k = 0; k < MOST; k += 16) {
             if (!(wanted >> k & Lanes16::ALL))
                 continue;
@@ -114,8 +134,9 @@ struct MaskFilter {
             const Real16 x = Lanes16::load(at), y = Lanes16::load(at + MOST), z = Lanes16::load(at + 2 * MOST);
             Real16 least = 2.0f;
             for (int form = 0; form < FORMS; ++form)
-                least = smaller(least, forms[form][0][triangle] + forms[form][1][triangle] * x
-                                           + forms[form][2][triangle] * y + forms[form][3][triangle] * z);
+                least = smaller(forms[form][0][triangle] + forms[form][1][triangle] * x + forms[form][2][triangle] * y
+                                    + forms[form][3][triangle] * z,
+                                least);
             sure |= (wp::uint64)Lanes16::bits(least > 1.0f) << k;
             maybe |= (wp::uint64)Lanes16::bits(least > -1.0f) << k;
         }

@@ -33,6 +33,9 @@ product, 2 u of m, and 6 u of the difference with g and the division, all of S^2
 band (``here``) is (32 u S^2 (|A| + 16 u place) + 4 u place |n|_1) m, in which |n|_1 is the computed one, off by 4 u
 S^2: u place times that is what 16 u place is for, as it is for A in |A|.
 
+*One over the band* is an approximation of the processor, within 2^-14 of it, the same for all factors of a form: so a
+form that is compared with 1 is compared with a band that much smaller or greater, of which there is a third to spare.
+
 *All points at once.* A form of any point is within sum |component| half of its value in the middle, half being the half
 size of a box around the points. half is taken 1e-5 larger, which is more than the five roundings of that sum, and is
 part of L.

@@ -24,6 +24,18 @@ struct PointMask1 {
     // For the walk: places in its structure where points have been hidden from the sample before.
     enum { KEPT = 8 };
     int kept[KEPT], keeps;
+    // And whether it has been worth of late to look closer at what is below a node: each look costs as much as it must
+    // spare on average. Where it has not, it is tried again now and then.
+    struct Spares {
+        enum { LEAST = -4, MOST = 16, GAIN = 2, SELDOM = 31 };
+        int balance;
+
+        inline bool worth(wp::int64 nodes) const { return balance >= 0 || !(nodes & SELDOM); }
+        inline void learn(int spared) {
+            const int now = balance + GAIN * spared - 1;
+            balance = now < LEAST ? LEAST : now > MOST ? MOST : now;
+        }
+    } spares;
 #endif
     // To the middle of the light; magnitudes of the way to any point, times the pad; the least and the most length.
     wp::vec3d middle;
@@ -37,7 +49,7 @@ struct PointMask1 {
     inline explicit PointMask1(const Asked& asked)
         : asked(asked), taken(0), hider(-1), open(0), rays(0), tests(0), nodes(0), retested(0), exact(0) {
 #if !defined(__CUDA_ARCH__)
-        keeps = 0;
+        keeps = 0, spares.balance = 0;
 #endif
     }
     // One in `every`, of an image no columns: numbers are scattered first (the finalizer of MurmurHash3), and the least
@@ -88,19 +100,12 @@ struct PointMask1 {
     // Takes in what a filter has found: the points that a triangle surely hides, and those that it may hide, as bits.
     inline void judged(int triangle, wp::uint64 sure, wp::uint64 maybe) {
         wp::uint64 hidden = open & maybe;
-        if (!hidden || !casts(triangle))
-            return;
         for (wp::uint64 left = asked.cull == 0 ? hidden & ~sure : hidden; left; left &= left - 1)
             if (!hides(lowest(left), triangle))
                 hidden &= ~(left & -left);
         open &= ~hidden;
         if (hidden)
             hider = triangle;
-    }
-    // Meshes that a light ignores have no finite corners while its points are asked about; trees have them all the
-    // same.
-    inline bool casts(int triangle) const {
-        return wp::isfinite(asked.vertices.data[asked.triangles.data[triangle][0]]);
     }
     inline bool hides(int k, int triangle) {
         const wp::vec3i& corner = asked.triangles.data[triangle];

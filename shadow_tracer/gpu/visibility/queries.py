@@ -72,8 +72,9 @@ class Mask:
     middle: wp.vec4d  # of a box that holds them, and its half size along each axis [m]
     extent: wp.vec3d
     offsets: wp.array(dtype=float)  # of the points from the middle, along x, y and z; for the CPU
-    flat: int  # whether they are in a plane, and there are, also for the CPU:
-    u: wp.vec3d  # half sides of a rectangle that holds them
+    ranges: int  # whether they are in a plane, or in a tube, and there are, also for the CPU:
+    radius: wp.float64  # of the tube, else 0
+    u: wp.vec3d  # half sides of a rectangle that holds them; half of the tube's axis, and nothing
     v: wp.vec3d
     beyond: wp.array(dtype=wp.uint64)  # of each bin along u, then v, those from there on (``exact/mask_range.py``)
     positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias

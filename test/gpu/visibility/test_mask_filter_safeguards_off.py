@@ -67,11 +67,6 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "sequences",
         [(_MASK, "asked.cull == 0 ? hidden & ~sure : hidden", "hidden & ~sure")],
     ),
-    "meshes that the light ignores": (
-        _OTHER,
-        "pilot_decides",
-        [(_MASK, "!hidden || !casts(triangle)", "!hidden")],
-    ),
 }
 
 

@@ -33,7 +33,23 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "a bin less": (
         _OWN,
         "small_triangles",
-        [(_RANGE, "(0.5f * RANGE_BINS) + 1.0f", "(0.5f * RANGE_BINS)")],
+        [(_RANGE, "scale[number] + behind[number]", "scale[number]")],
+    ),
+    "tubes that are lines": (_OWN, "rays_to_tubes", [(_RANGE, "slack[0] += (float)(", "slack[0] += 0.0f * (float)(")]),
+    "tubes around the sample": (_OWN, "rays_to_tubes", [(_RANGE, "part < RANGE_ROUND", "part < 1e9")]),
+    "ribbons of half the width": (_OWN, "rays_to_tubes", [(_RANGE, "wider = radius /", "wider = 0.5 * radius /")]),
+    "boxes behind the sample": (
+        _OWN,
+        "boxes_around",
+        [(_RANGE, "depth.low > (float)RANGE_SURE", "depth.high > (float)RANGE_SURE")],
+    ),
+    "boxes by their far ends": (
+        _OWN,
+        "columns",
+        [
+            (_RANGE, "at.low < none ? most : least", "at.low < none ? least : least"),
+            (_RANGE, "at.high > none ? most : least", "at.high > none ? least : least"),
+        ],
     ),
     "points of the bin before": (
         _OWN,

@@ -100,6 +100,10 @@ def refit_all_nodes(tree: Tree): ...
 def refit_all_wide_nodes(tree: Tree): ...
 
 
+@native.func_native("accelerators/bvh/casting.h", calls="Casting::mark")
+def mark_all(count: int, triangles: wp.array(dtype=wp.vec3i), tree: Tree): ...
+
+
 @native.func_native("accelerators/bvh/build.h", calls="Build::whole")
 def build_all(tree: Tree, sorting: Sorting, rule: int): ...
 
@@ -251,6 +255,12 @@ def refit_wide_nodes(tree: Tree):
     refit_all_wide_nodes(tree)
 
 
+@wp.kernel(enable_backward=False)
+def mark_casting(count: int, triangles: wp.array(dtype=wp.vec3i), tree: Tree):
+    """One thread."""
+    mark_all(count, triangles, tree)
+
+
 class Builder:
     """Builds a tree by a rule, and refits it.
 
@@ -306,6 +316,11 @@ class Builder:
         self._refit(scene)
         if len(self.tree.links):
             self._launch(refit_wide_nodes, 1, [self.tree])
+
+    def mark(self, scene: SceneBuffers) -> None:
+        """What casts something though meshes of the scene are left out."""
+        if len(self.tree.links):
+            self._launch(mark_casting, 1, [scene.triangle_count, scene.triangles, self.tree])
 
     def _refit(self, scene: SceneBuffers) -> None:
         tree, count = self.tree, scene.triangle_count

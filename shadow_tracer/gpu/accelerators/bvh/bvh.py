@@ -52,6 +52,7 @@ from shadow_tracer.gpu.accelerators.cone_kernels import ConeKernels, cone_scene
 from shadow_tracer.gpu.accelerators.interface import Context, Traits
 from shadow_tracer.gpu.accelerators.walker import Build, Walk, Walker
 from shadow_tracer.gpu.device import forms, native
+from shadow_tracer.gpu.device.stages import Stages
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.visibility.queries import ANY_HIT, CLOSEST, MASK
 
@@ -89,6 +90,12 @@ class Bvh(Build):
         self.tree = KINDS[variant](scene)
         self.walk = _THREADED if self.tree.threaded else PACKETS if forms.wide(scene.device) else _PAIRS
         self.bundle_costs = _IN_BLOCKS if self.walk is PACKETS else Traits.bundle_costs
+
+    def follow(self, stages: Stages) -> None:
+        """As others do, and know what the scene leaves out."""
+        super().follow(stages)
+        if self.structure is not None:
+            self.tree.leave_out()
 
     def build(self) -> Tree:
         """Refit or build the tree."""

@@ -5,7 +5,8 @@
 // A sample, and all points of a light, through the tree with sixteen children per node.
 struct Walk1 {
     // Of each level at most all children but one wait.
-    enum { DEPTH = TREE_LANES * (LEVELS + 1) };
+    // Children of a node that a bundle must meet for their ranges to be asked for.
+    enum { DEPTH = TREE_LANES * (LEVELS + 1), MANY = 3 };
     // As many triangles of a block must be left for their ranges to be worth it.
     enum { SEVERAL = 2 };
     MaskFilter filter;
@@ -23,8 +24,11 @@ struct Walk1 {
             from_center[k] = (sample[k] - tree.box.center[k]) * tree.box.inverse_extent;
         looks = filter.look(from_center, query.middle, query.spread(), query.shortest, query.longest, sample[3],
                             tree.box.inverse_extent, query.light()[3] == 0.0);
-        ranges = looks && query.asked.flat
-                 && range.look(query.middle, query.asked.u, query.asked.v, filter.reach, filter.unit);
+        const Asked& asked = query.asked;
+        ranges =
+            looks && asked.ranges
+            && (asked.radius > 0.0 ? range.look_at_tube(query.middle, asked.u, asked.radius, filter.reach, filter.unit)
+                                   : range.look(query.middle, asked.u, asked.v, filter.reach, filter.unit));
     }
     // Shows a triangle; true if no point is seen any more.
     inline bool triangle(int number, int lane, Query1& query) const {
@@ -42,16 +46,20 @@ struct Walk1 {
     }
     // Shows a block; true if no point is seen any more.
     inline bool block(int number, Query1& query) {
+        const int casting = tree.left_out ? tree.casting_blocks.data[number] : (int)Lanes16::ALL;
+        if (!casting)
+            return false;
         const int* members = tree.members.data + TREE_LANES * (size_t)number;
         const float* rows = tree.rows.data + BLOCK_ROWS * TREE_LANES * (size_t)number;
         if (looks)
             filter.judge(rows);
         else
             filter.may = Lanes16::ALL, filter.all = filter.told = 0;
-        range.known = 0;
+        filter.may &= casting;
+        range.known = range.missed = 0;
         if (ranges && __builtin_popcount(filter.may & ~filter.all) >= SEVERAL)
             range.judge(rows, filter.at, filter.place);
-        for (int left = filter.may; left; left &= left - 1) {
+        for (int left = filter.may & ~range.missed; left; left &= left - 1) {
             const int lane = __builtin_ctz(left);
             if (members[lane] >= 0 && members[lane] < query.triangle_count() && triangle(members[lane], lane, query))
                 return true;
@@ -78,10 +86,14 @@ struct Walk1 {
             if (ask(asked[k], query))
                 return;
         int links[DEPTH];
+        wp::uint64 points[DEPTH]; // of the light that something below a link may hide
         int top = 1;
         links[0] = 0;
+        points[0] = query.open;
         while (top) {
             const int link = links[--top];
+            if (!(points[top] & query.open))
+                continue;
             if (link < 0) {
                 bool again = false;
                 for (int k = 0; k < first; ++k)
@@ -95,11 +107,21 @@ struct Walk1 {
             const int* children = tree.links.data + TREE_LANES * (size_t)link;
             Bundle16 bundle;
             bundle.enter(bounds, bounds + 3, sides, longest);
-            for (int met = bundle.met; met; met &= met - 1) {
-                const int child = children[__builtin_ctz(met)];
-                if (child != TREE_NONE)
-                    links[top++] = child;
+            int met = tree.left_out ? bundle.met & tree.casting_nodes.data[link] : bundle.met;
+            const bool boxed = ranges && __builtin_popcount(met) >= MANY && query.spares.worth(query.nodes);
+            if (boxed)
+                range.boxes(bounds, filter.at, filter.place);
+            const int begin = top;
+            for (int left = boxed ? met & ~range.missed : met; left; left &= left - 1) {
+                const int lane = __builtin_ctz(left), child = children[lane];
+                if (child == TREE_NONE)
+                    continue;
+                points[top] = boxed ? range.points(lane, query.asked.beyond.data) : ~(wp::uint64)0;
+                links[top] = child;
+                top += (points[top] & query.open) != 0;
             }
+            if (boxed)
+                query.spares.learn(__builtin_popcount(met) - (top - begin));
         }
     }
     static inline void walk(const Tree& tree, Query1& query) {

@@ -21,6 +21,7 @@ from shadow_tracer.gpu.accelerators.bvh.build import MEDIAN, MORTON, SAH, Builde
 from shadow_tracer.gpu.accelerators.bvh.tree import Tree
 from shadow_tracer.gpu.accelerators.segment import holds, scene_box
 from shadow_tracer.gpu.occluders.changes import Revision
+from shadow_tracer.gpu.occluders.slots import Ranges
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.scene.checks import FloatArray
 
@@ -45,6 +46,7 @@ class SceneTree:
         self._builder = Builder(scene.bounds.max_triangles, self.rule, self.threaded, scene.device)
         self.areas = self._builder.areas
         self._made_for: Revision | None = None
+        self._marked: tuple[Revision, Ranges] | None = None
         self._held: tuple[FloatArray, FloatArray] | None = None  # what the scene's box was made to hold
         # Nodes that a ray was expected to visit after the build, and is now; None until a frame has ended.
         self._fresh: float | None = None
@@ -71,9 +73,19 @@ class SceneTree:
         self._made_for = scene.revision
         return tree
 
+    def leave_out(self) -> None:
+        """Let walks know of the meshes that the scene leaves out, which the tree holds all the same."""
+        scene, tree = self._scene, self._builder.tree
+        tree.left_out = int(len(scene.left_out) > 0)
+        marked = scene.revision, scene.left_out
+        if tree.left_out and self._marked != marked:
+            self._marked = None
+            self._builder.mark(scene)
+            self._marked = marked
+
     def forget(self) -> None:
         """Build it again."""
-        self._made_for = self._held = None
+        self._made_for = self._held = self._marked = None
 
     def judge(self, areas: npt.NDArray[np.floating]) -> None:
         """What a frame has found in ``areas``."""

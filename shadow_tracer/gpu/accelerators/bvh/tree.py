@@ -55,6 +55,10 @@ class Tree:
     bounds: wp.array(dtype=float)  # of nodes with sixteen children: low x, y, z, high x, y, z
     links: wp.array(dtype=int)  # their children: nodes, blocks as their complements, or NONE
     sources: wp.array(dtype=int)  # the node of the small tree that each of these children is
+    # While meshes are ``left_out``, which children, and which triangles of blocks, cast something, as bits.
+    left_out: int
+    casting_nodes: wp.array(dtype=int)
+    casting_blocks: wp.array(dtype=int)
     # For variant ``threaded``; empty elsewhere.
     escapes: wp.array(dtype=int)  # where to go on after each node and all below it, -1 at the end
 
@@ -79,6 +83,8 @@ def make_tree(triangles: int, wide: bool, threaded: bool, device: Any) -> Tree:
     tree.bounds = wp.empty(wide_nodes * 6 * LANES, dtype=float, device=device)
     tree.links = wp.empty(wide_nodes * LANES, dtype=int, device=device)
     tree.sources = wp.empty(wide_nodes * LANES, dtype=int, device=device)
+    tree.casting_nodes = wp.empty(wide_nodes, dtype=int, device=device)
+    tree.casting_blocks = wp.empty(blocks if wide_nodes else 0, dtype=int, device=device)
     tree.escapes = wp.empty(nodes if threaded else 0, dtype=int, device=device)
     return tree
 
@@ -86,5 +92,5 @@ def make_tree(triangles: int, wide: bool, threaded: bool, device: Any) -> Tree:
 def tree_bytes(tree: Tree) -> int:
     """Bytes of its arrays."""
     arrays = (tree.counts, tree.corners, tree.children, tree.leaves, tree.members, tree.rows)
-    arrays += (tree.bounds, tree.links, tree.sources, tree.escapes)
+    arrays += (tree.bounds, tree.links, tree.sources, tree.casting_nodes, tree.casting_blocks, tree.escapes)
     return sum(int(array.capacity) for array in arrays)
