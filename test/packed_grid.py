@@ -54,7 +54,8 @@ class Packed:
     counts: np.ndarray  # (3,)
     order: np.ndarray  # (N, 32) rays of the lanes
     live: np.ndarray  # (N, 32) bool
-    rays: np.ndarray  # (N, 32, 5)
+    rays: np.ndarray  # (N, 32, 5); of pieces (N, 32, 4)
+    magnitudes: np.ndarray  # (N, 2) of pieces: the most of the rays of a tile's lanes, and with |W|
     lookup: np.ndarray  # (G, 256, 2)
     boxes: dict[str, Boxes]  # by level, without places that hold no rays
     empty: dict[str, np.ndarray]  # by level, (E, 2): half extents of the places that hold none
@@ -94,7 +95,7 @@ def read(tiles: Tiles) -> Packed:
         lanes, piece = tiles.source.numpy()[:count].T
         _, first, more = tiles.numbers.numpy()[piece].T
         order = (order[first[:, None] + np.arange(TILE)] + more[:, None]).reshape(-1)
-    halves = tiles.rays.numpy().reshape(-1, 2, 5, 16)[lanes]
+    halves = tiles.rays.numpy().reshape(-1, 2, 4 if pieces else 5, 16)[lanes]
     live = (tiles.live.numpy()[:count, None].view(np.uint32) >> np.arange(TILE, dtype=np.uint32)) & 1
     sixteens = {
         level: values.numpy().reshape(-1, QUANTITIES, 16)
@@ -127,11 +128,20 @@ def read(tiles: Tiles) -> Packed:
         counts,
         order[: TILE * count].reshape(count, TILE).copy(),
         live.astype(bool),
-        halves.transpose(0, 1, 3, 2).reshape(count, TILE, 5).copy(),
+        halves.transpose(0, 1, 3, 2).reshape(count, TILE, 4 if pieces else 5).copy(),
+        tiles.magnitudes.numpy()[lanes] if pieces else np.empty((0, 2), np.float32),
         tiles.lookup.numpy()[: 6 * LOOKUP * tiles.lights].reshape(-1, LOOKUP, 2).copy(),
         boxes,
         empty,
     )
+
+
+def most_of(rays: np.ndarray, some: np.ndarray) -> np.ndarray:
+    """(N, 2) the largest magnitude of ``some`` of (N, 32, 4) rays, and with |W|, as float32 has them."""
+    with np.errstate(invalid="ignore"):
+        x, y, w, z = np.moveaxis(np.abs(rays), -1, 0)
+        magnitude = x + y + z + np.float32(2.0**-20)
+    return np.stack([np.where(some, each, 0).max(axis=1) for each in (magnitude, magnitude + w)], axis=-1)
 
 
 @native.func_native("accelerators/light_grid/pieces16.h", calls="Pieces16::more")
@@ -162,10 +172,10 @@ def _fill(pieces: Pieces, tiles: Tiles, samples: SampleSet, group: np.ndarray, l
     number = sample + more[:, None]
     inside = (group == IN_TREE)[number] & there
     inside &= samples.states_of(0, lights).numpy()[number] != SHADOWED
-    halves = tiles.rays.numpy().reshape(-1, 2, 5, 16)
+    halves = tiles.rays.numpy().reshape(-1, 2, 4, 16)
     ray = samples.rays.numpy()[number].reshape(count, 2, 16, 4)
-    halves[lanes, :, :4] = ray.transpose(0, 1, 3, 2)
-    halves[lanes, :, 4] = np.abs(ray[..., (0, 1, 3)]).sum(axis=-1) + np.float32(2.0**-20)
+    halves[lanes] = ray.transpose(0, 1, 3, 2)
+    tiles.magnitudes.numpy()[lanes] = most_of(ray.reshape(count, TILE, 4), inside)
     bits = (inside.astype(np.uint64) << np.arange(32, dtype=np.uint64)).sum(axis=1)
     pieces.live.numpy()[:count] = bits.astype(np.uint32).view(np.int32)
     wp.launch(measure_pieces, dim=lights, inputs=[samples.lights_from(0), tiles, pieces], device="cpu")

@@ -47,17 +47,23 @@ struct Entries {
         tiles.live.data[tile] = 0;
         TileBox::remove(tiles.boxes, tile);
     }
+    static inline Filter16 filter(const float* record, const float* rays) {
+        return Filter16(record, Lanes16::load(rays), Lanes16::load(rays + 16), Lanes16::load(rays + 32),
+                        Lanes16::load(rays + 48));
+    }
     // The rays of a tile, those that are `live`, and a triangle; returns those that are live behind it.
     inline unsigned test(int tile, int number, unsigned live) {
-        const float* rays = TileMemory::rays(tiles, tile);
+        const float *rays = TileMemory::rays(tiles, tile), *about = record(number);
         tests += __builtin_popcount(live);
-        int yes_low, yes_high;
-        const unsigned low = Filter16::possible(record(number), rays, yes_low);
-        const unsigned high = Filter16::possible(record(number), rays + TileMemory::SIXTEEN_RAYS, yes_high);
-        const unsigned found = (low | high << 16) & live;
+        // One bound for all of them: it grows with the magnitude, so that of the largest holds for the others.
+        const wp::vec2& most = TileMemory::magnitudes(tiles, tile);
+        const Real16 edge = about[3] * most[1], depth = about[7] * most[0] + about[11];
+        const Filter16 low = filter(about, rays), high = filter(about, rays + TileMemory::SIXTEEN_RAYS);
+        const unsigned found =
+            ((unsigned)low.possible(edge, depth) | (unsigned)high.possible(edge, depth) << 16) & live;
         if (!found)
             return live;
-        const unsigned yes = ((unsigned)yes_low | (unsigned)yes_high << 16) & found;
+        const unsigned yes = ((unsigned)low.certain(edge, depth) | (unsigned)high.certain(edge, depth) << 16) & found;
         const int piece = TileMemory::piece(tiles, tile);
         for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
             if (Settle::pair(answers, TileMemory::ray_of(tiles, piece, __builtin_ctz(maybe)), triangle(number)))

@@ -1,6 +1,6 @@
 // cpu
 // needs: samples/view.h accelerators/admission.h accelerators/fits.h@16 accelerators/light_grid/pieces16.h
-// constants: TILE_RAYS PIECE_ROWS SEGMENT LIT INVALID RAYS COUNTER_ROWS MAGNITUDE_FLOOR
+// constants: TILE_RAYS PIECE_ROWS SEGMENT LIT INVALID RAYS COUNTER_ROWS
 // arguments: LightFrame frame, Tiles tiles, Pieces pieces
 // Samples in the order of their pieces straight into lanes: rays of a light are written once, where they stay.
 struct Image16 {
@@ -53,13 +53,6 @@ struct Image16 {
                 memcpy(to + 16 * k, ray[k][row] + from, CHUNK * sizeof(float));
             memcpy(of + CHUNK * chunk, state[row] + from, CHUNK);
         }
-        for (int half = 0; half < 2; ++half) {
-            float* sixteen = lanes + half * TileMemory::SIXTEEN_RAYS;
-            const Lanes32 it(sixteen);
-            const Real16 floor = MAGNITUDE_FLOOR;
-            Lanes16::store(sixteen + 64,
-                           Lanes16::absolute(it.U) + Lanes16::absolute(it.V) + Lanes16::absolute(it.Z) + floor);
-        }
         unsigned odd = admit(piece, of, tiles, pieces);
         for (; odd; odd &= odd - 1) {
             const int lane = __builtin_ctz(odd), number = TileMemory::ray_of(tiles, piece, lane);
@@ -82,14 +75,17 @@ struct Image16 {
     // Which rays of a piece take part, and as bits those of them that are wild.
     static inline unsigned admit(int piece, const wp::uint8* of, const Tiles& tiles, const Pieces& pieces) {
         unsigned live = 0, odd = 0;
+        Magnitudes16 magnitudes;
         for (int half = 0; half < 2; ++half) {
             const Lanes32 it = Lanes32::of(tiles, pieces, piece, half);
             const Mask16 lit = __builtin_convertvector(*(const Bytes*)(of + 16 * half) == (unsigned char)LIT, Mask16);
             const Mask16 some = lit & (it.U == it.U), fits = Fits16::of(it.U, it.V, it.W, it.Z);
+            magnitudes.take(some & fits, it);
             live |= (unsigned)Lanes16::bits(some & fits) << 16 * half;
             odd |= (unsigned)Lanes16::bits(some & ~fits) << 16 * half;
         }
         pieces.live.data[piece] = (int)live;
+        magnitudes.store(tiles, piece);
         return odd;
     }
     // A segment of a light: pieces side by side, of up to MOST samples of each of their rows.

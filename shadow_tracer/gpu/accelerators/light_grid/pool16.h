@@ -1,6 +1,6 @@
 // cpu
 // needs: accelerators/light_grid/pieces16.h accelerators/light_grid/counting.h accelerators/light_grid/keys.h@16
-// constants: FACES FORWARD TILE_RAYS V_BITS FIT_CELLS NO_GROUP SEVERAL_FACES POOL_CELLS MAGNITUDE_FLOOR
+// constants: FACES FORWARD TILE_RAYS V_BITS FIT_CELLS NO_GROUP SEVERAL_FACES POOL_CELLS
 // arguments: Tiles tiles, Pieces pieces
 // Pieces whose rays the light sees far apart are taken to pieces again: their rays are sorted as those of one pool.
 struct Pool16 {
@@ -163,15 +163,14 @@ struct Pool16 {
                 tiles.numbers.data[piece] = wp::vec3i(piece, pieces.pool_order + TILE_RAYS * made, 0);
                 pieces.live.data[piece] = (int)(0xFFFFFFFFu >> (TILE_RAYS - used));
                 float* lanes = TileMemory::lanes(tiles, piece);
+                Magnitudes16 magnitudes;
                 for (int half = 0; half < 2; ++half, lanes += TileMemory::SIXTEEN_RAYS) {
                     for (int j = 0; j < 16; ++j)
                         for (int q = 0; q < 4; ++q)
                             lanes[16 * q + j] = pieces.rays.data[sorted[k + 16 * half + j]][q];
-                    const Lanes32 it(lanes);
-                    const Real16 floor = MAGNITUDE_FLOOR;
-                    Lanes16::store(lanes + 64,
-                                   Lanes16::absolute(it.U) + Lanes16::absolute(it.V) + Lanes16::absolute(it.Z) + floor);
+                    magnitudes.take(Pieces16::live(pieces, piece, half), Lanes32(lanes));
                 }
+                magnitudes.store(tiles, piece);
                 Pieces16::bound(number, inverse != 0, piece, tiles, pieces);
             }
         }

@@ -3,7 +3,7 @@
 // arguments: Tiles tiles
 // Where things lie in Tiles; see tiles.py.
 struct TileMemory {
-    enum { SIXTEEN_RAYS = 16 * 5, RAYS = 2 * SIXTEEN_RAYS };
+    enum { SIXTEEN_RAYS = 16 * 4, RAYS = 2 * SIXTEEN_RAYS };
     // Of a piece.
     static inline float* lanes(const Tiles& tiles, int piece) {
         return tiles.rays.data + RAYS * (size_t)tiles.numbers.data[piece][0];
@@ -22,6 +22,10 @@ struct TileMemory {
         return tiles.rays.data + RAYS * (size_t)tiles.source.data[tile][0];
     }
     static inline int piece(const Tiles& tiles, int tile) { return tiles.source.data[tile][1]; }
+    // The largest of its rays, and with |W|.
+    static inline const wp::vec2& magnitudes(const Tiles& tiles, int tile) {
+        return tiles.magnitudes.data[tiles.source.data[tile][0]];
+    }
 };
 // A face of a light, and the columns of tiles on it.
 struct TileGroup {

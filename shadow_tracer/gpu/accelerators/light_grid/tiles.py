@@ -75,8 +75,10 @@ class Tiles:
     columns: wp.array(dtype=float)  # boxes of the columns; each group of rays starts a new sixteen
     blocks: wp.array(dtype=float)  # boxes of the blocks, sixteen places per column
     boxes: wp.array(dtype=float)  # boxes of the tiles, sixteen per block
-    # [tile][half][U V W Z magnitude][16]; lanes that are not ``live`` hold anything. On the CPU by piece (pieces.py).
+    # [tile][half][U V W Z magnitude][16]; lanes that are not ``live`` hold anything. On the CPU by piece (pieces.py),
+    # and without magnitudes.
     rays: wp.array(dtype=float)
+    magnitudes: wp.array(dtype=wp.vec2)  # on the CPU, of each piece: the most of its rays, and with |W|
     order: wp.array(dtype=int)  # ray of each lane: [tile][32]; on the CPU see ``numbers``
     source: wp.array(dtype=wp.vec2i)  # on the CPU, of a tile: the piece that has its lanes, and which it is
     # and of each piece: the piece that has its lanes, where in ``order`` its rays are, and what is to be added there
@@ -174,7 +176,8 @@ class TileBuffers:
         tiles.columns = wp.empty((column_places + 15) // 16 * 16 * QUANTITIES, dtype=float, device=device)
         tiles.blocks = wp.empty(column_places * 16 * QUANTITIES, dtype=float, device=device)
         tiles.boxes = wp.empty(self.most_blocks * 16 * QUANTITIES, dtype=float, device=device)
-        tiles.rays = wp.empty((TILE * pieces or self.most_blocks * BLOCK_RAYS) * 5, dtype=float, device=device)
+        tiles.rays = wp.empty(4 * TILE * pieces or 5 * self.most_blocks * BLOCK_RAYS, dtype=float, device=device)
+        tiles.magnitudes = wp.empty(pieces, dtype=wp.vec2, device=device)
         tiles.order = wp.empty(2 * TILE * pieces or self.most_blocks * BLOCK_RAYS, dtype=int, device=device)
         tiles.source = wp.empty(self.most_blocks * 16 if pieces else 0, dtype=wp.vec2i, device=device)
         tiles.numbers = wp.empty(pieces, dtype=wp.vec3i, device=device)
@@ -196,6 +199,7 @@ class TileBuffers:
             tiles.blocks,
             tiles.boxes,
             tiles.rays,
+            tiles.magnitudes,
         )
         arrays += (self.cells, tiles.order, tiles.source, tiles.numbers, tiles.live, tiles.covered)
         arrays += (tiles.lookup, tiles.counts)

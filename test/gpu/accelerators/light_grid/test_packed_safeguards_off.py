@@ -31,6 +31,16 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         "all_around",
         [(_GRID + "candidates.h", "light < far[1] ? light - 0x1p-20 * fabs(light) : far[1]", "far[1]")],
     ),
+    "bounds of the filter from half of the rays": (
+        _PIECES,
+        "those_of_brute_force",
+        [(_GRID + "image16.h", "magnitudes.take(some & fits, it);", "if (!half) magnitudes.take(some & fits, it);")],
+    ),
+    "bounds of the filter without W": (
+        _PIECES,
+        "those_of_brute_force",
+        [(_GRID + "pieces16.h", "m + Lanes16::absolute(ray.W)", "m")],
+    ),
     "a face as far as its nearest ray": (
         _CANDIDATES,
         "all_around",

@@ -102,6 +102,9 @@ def _check_tiles(grid: ShadowTracer, other: ShadowTracer, light: int) -> int:
     tile, lane = np.nonzero(live)
     np.testing.assert_array_equal(np.sort(packed.order[tile, lane]), expected)
     np.testing.assert_array_equal(packed.rays[tile, lane, :4], rays[packed.order[tile, lane]])
+    # The filter's bounds are those of the largest ray; what has been split has those of the whole.
+    most = packed_grid.most_of(packed.rays, live)
+    assert (packed.magnitudes >= most).all() and (packed.magnitudes == most).mean() > 0.4
     pieces = probe_accelerators.pieces(pipeline)
     return int(pieces.count.numpy()[0]) - int(pieces.of_light)
 
