@@ -60,7 +60,10 @@ MASK_BINS = mask_range.BINS + 1
 # products that make the determinant of them round five times more: 8 u and second orders, 9e-16. For the plane of the
 # triangle it is the sum of two determinants, each with a pad.
 MASK_PAD = 1e-14
-native.constants(MASK_PAD=MASK_PAD)
+# By how much more than their pads determinants in place are away from zero where they are to be sure of something: so
+# that nothing that they are made of is lost below the least numbers of float64.
+IN_PLACE_LEAST = 1e-290
+native.constants(MASK_PAD=MASK_PAD, IN_PLACE_LEAST=IN_PLACE_LEAST)
 
 
 @wp.struct

@@ -33,6 +33,11 @@ struct WIDE(AtChart) {
     // Shows the two triangles of a quad; true if one hides the ray.
     static inline bool show(const DeviceChart& chart, int row, int column, WIDE(Query) & query) {
         const int first = chart.first_triangle + 2 * (row * (chart.columns - 1) + column);
-        return query.visit(first) || query.visit(first + 1);
+        // One call in a loop that stays a loop: what decides is large.
+#pragma unroll 1
+        for (int k = 0; k < 2; ++k)
+            if (query.visit(first + k))
+                return true;
+        return false;
     }
 };

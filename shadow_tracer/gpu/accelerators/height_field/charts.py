@@ -111,24 +111,19 @@ class Structure:
     bounds: wp.array(dtype=float)
 
 
-@native.func_native("accelerators/height_field/place.h", calls="Placed::height")
-def place_position(
-    chart: DeviceChart, number: int, vertices: wp.array(dtype=wp.vec3d), heights: wp.array(dtype=float)
+@native.func_native("accelerators/height_field/place.h", calls="Placed::row")
+def place_row(
+    chart: DeviceChart, row: int, vertices: wp.array(dtype=wp.vec3d), heights: wp.array(dtype=float)
 ) -> wp.float64:
-    """Store the height of a position; returns how far it is from its place, 0 if it is not valid."""
+    """Store the heights of a row of positions; returns how far valid ones are from their places at most."""
     ...
 
 
 @wp.kernel(enable_backward=False)
 def place_positions(number: int, structure: Structure, vertices: wp.array(dtype=wp.vec3d)):
     """Heights of a chart's positions, a row each thread."""
-    row = wp.tid()
-    chart = structure.charts[number]
-    most = wp.float64(0.0)
-    for column in range(chart.columns):
-        off = place_position(chart, row * chart.columns + column, vertices, structure.heights)
-        most = wp.max(most, off)
-    wp.atomic_max(structure.beside, number, most)
+    off = place_row(structure.charts[number], wp.tid(), vertices, structure.heights)
+    wp.atomic_max(structure.beside, number, off)
 
 
 @native.func_native("accelerators/height_field/nodes.h", calls="Nodes::of_quads")

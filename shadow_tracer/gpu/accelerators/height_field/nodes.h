@@ -11,6 +11,21 @@ struct Nodes {
         const wp::uint32 least = down < 0.0f ? 0 : (wp::uint32)down, last = (wp::uint32)(up > most ? most : up);
         return least | last << 16;
     }
+    // Extends `low` and `high` by the corners of a quad, of which `from` is the first; returns whether one has no
+    // height.
+    static inline int corners(const float* from, int columns, float& low, float& high) {
+        const float a = from[0], b = from[1], c = from[columns], d = from[columns + 1];
+        low = -extreme(-low, -a, -b, -c, -d);
+        high = extreme(high, a, b, c, d);
+        return !(a == a && b == b && c == c && d == d);
+    }
+    static inline float extreme(float x, float a, float b, float c, float d) {
+        // NaN compares false: what is not valid moves nothing.
+        x = a > x ? a : x;
+        x = b > x ? b : x;
+        x = c > x ? c : x;
+        return d > x ? d : x;
+    }
     // first, rows, columns: of the heights; row, column: of the node, whose number is `node`.
     static inline void of_quads(int first, int rows, int columns, int row, int column, int node,
                                 const wp::array_t<float>& heights, const wp::array_t<wp::uint32>& nodes) {
@@ -19,12 +34,7 @@ struct Nodes {
             const int r = SIDE * row + k / SIDE, c = SIDE * column + k % SIDE;
             float low = (float)HUGE_VAL, high = -low;
             if (r + 1 < rows && c + 1 < columns)
-                for (int j = 0; j < 4; ++j) {
-                    // NaN compares false: what is not valid moves nothing.
-                    const float h = from[(size_t)(r + j / 2) * columns + c + j % 2];
-                    low = h < low ? h : low;
-                    high = h > high ? h : high;
-                }
+                corners(from + (size_t)r * columns + c, columns, low, high);
             nodes.data[16 * (size_t)node + k] = pack(low, high);
         }
     }
@@ -38,10 +48,14 @@ struct Nodes {
         for (int k = 0; k < SIDE * SIDE; ++k) {
             const int r = SIDE * row + k / SIDE, c = SIDE * column + k % SIDE;
             float low = (float)HUGE_VAL, high = -low;
-            if (r + 1 < rows && c + 1 < columns)
+            const size_t number = triangle + 2 * ((size_t)r * (columns - 1) + c);
+            const bool there = r + 1 < rows && c + 1 < columns;
+            // A quad with both triangles has all corners.
+            if (there && triangles.data[number][0] != GAP_VERTEX && triangles.data[number + 1][0] != GAP_VERTEX)
+                lost |= corners(from + (size_t)r * columns + c, columns, low, high);
+            else if (there)
                 for (int j = 0; j < 6; ++j) {
-                    const size_t number = triangle + 2 * ((size_t)r * (columns - 1) + c) + j / 3;
-                    const int corner = triangles.data[number][j % 3];
+                    const int corner = triangles.data[number + j / 3][j % 3];
                     if (corner == GAP_VERTEX)
                         continue;
                     const float h = from[corner - vertex];

@@ -14,21 +14,41 @@ struct Homogeneous {
     }
 };
 struct Placed {
-    // Stores the height of a position; returns how far it is from its place in the chart, 0 if it is not valid.
-    static inline double height(const DeviceChart& chart, int number, const wp::array_t<wp::vec3d>& vertices,
-                                const wp::array_t<float>& heights) {
-        const wp::vec3d& p = vertices.data[chart.first_vertex + number];
-        const Homogeneous at =
-            Homogeneous::of(chart, p[0] - chart.center[0], p[1] - chart.center[1], p[2] - chart.center[2], 1.0);
-        const double h = at.h / at.d;
+#if defined(__CUDA_ARCH__)
+    enum { CHUNK = 1 };
+#else
+    enum { CHUNK = 128 };
+#endif
+    // Stores the heights of a row of positions; returns how far they are from their places in the chart at most, of
+    // those that are valid.
+    static inline double row(const DeviceChart& chart, int row, const wp::array_t<wp::vec3d>& vertices,
+                             const wp::array_t<float>& heights) {
+        const double* from = (const double*)(vertices.data + chart.first_vertex + (size_t)row * chart.columns);
+        float* to = heights.data + chart.first_height + (size_t)row * chart.columns;
+        const double x0 = chart.center[0], y0 = chart.center[1], z0 = chart.center[2];
         // A corner without depth is where the camera is.
-        const bool none = chart.made && p[0] == chart.camera[0] && p[1] == chart.camera[1] && p[2] == chart.camera[2];
-        heights.data[chart.first_height + number] = none ? (float)(HUGE_VAL - HUGE_VAL) : (float)h;
-        if (none || !wp::isfinite(p))
-            return 0.0;
-        const int row = number / chart.columns, column = number - row * chart.columns;
-        const double s = fabs(at.s / at.d - (double)column), t = fabs(at.t / at.d - (double)row);
-        const double off = s > t ? s : t;
-        return at.d >= chart.nearest && h >= 0.0 && h <= CHART_STEPS && off < 1.0e30 ? off : 1.0e30;
+        const double none = chart.made ? 0.0 : HUGE_VAL;
+        const double x1 = chart.camera[0] + none, y1 = chart.camera[1] + none, z1 = chart.camera[2] + none;
+        double most = 0.0, off[CHUNK];
+        for (int first = 0; first < chart.columns; first += CHUNK) {
+            const int count = chart.columns - first < CHUNK ? chart.columns - first : CHUNK;
+            for (int k = 0; k < count; ++k) {
+                const int column = first + k;
+                const double x = from[3 * column], y = from[3 * column + 1], z = from[3 * column + 2];
+                const Homogeneous at = Homogeneous::of(chart, x - x0, y - y0, z - z0, 1.0);
+                const double part = 1.0 / at.d, h = at.h * part;
+                const bool gone = (x == x1) & (y == y1) & (z == z1);
+                to[column] = gone ? (float)(HUGE_VAL - HUGE_VAL) : (float)h;
+                const double s = fabs(at.s * part - (double)column), t = fabs(at.t * part - (double)row);
+                const double farther = s > t ? s : t;
+                const bool placed =
+                    (at.d >= chart.nearest) & (h >= 0.0) & (h <= CHART_STEPS) & (s < 1.0e30) & (t < 1.0e30);
+                const bool valid = (fabs(x) < HUGE_VAL) & (fabs(y) < HUGE_VAL) & (fabs(z) < HUGE_VAL) & !gone;
+                off[k] = valid ? (placed ? farther : 1.0e30) : 0.0;
+            }
+            for (int k = 0; k < count; ++k)
+                most = off[k] > most ? off[k] : most;
+        }
+        return most;
     }
 };

@@ -13,6 +13,7 @@ _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sw
 _LOOK = _ROOM + "first_look.h"
 _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
+_EDGES, _IN_PLACE = "test_open_edges.py", "visibility/in_place.h"
 _PACKETS, _BUNDLE = "test_packets.py", _ROOM + "bundle.h"
 _DEPTH, _BIASED = "test_depth_charts.py", "test_biased_start.py"
 
@@ -94,7 +95,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "one triangle of a quad": (
         _FIELD,
         "sizes",
-        [(_ROOM + "at_chart.h", "query.visit(first) || query.visit(first + 1)", "query.visit(first)")],
+        [(_ROOM + "at_chart.h", "k < 2; ++k", "k < 1; ++k")],
     ),
     "children of the last node alone": (
         _FIELD,
@@ -139,7 +140,16 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         ],
     ),
     "heights of the first triangle of a quad": (_DEPTH, "steps or other", [(_NODES, "j < 6", "j < 3")]),
-    "no triangle has a corner at the camera": (_DEPTH, "lies_at_the_camera", [(_NODES, "lost |= !(h == h);", "")]),
+    "one triangle makes a whole quad": (
+        _DEPTH,
+        "steps or lies_at",
+        [(_NODES, " && triangles.data[number + 1][0] != GAP_VERTEX", "")],
+    ),
+    "no triangle has a corner at the camera": (
+        _DEPTH,
+        "lies_at_the_camera",
+        [(_NODES, "lost |= !(h == h);", ""), (_NODES, "lost |= corners(", "corners(")],
+    ),
     "no triangle is nearly seen edge-on": (
         _DEPTH,
         "edge_on",
@@ -273,12 +283,53 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "a larger bias than there is": (
         _SWEPT,
         "biases",
-        [("visibility/in_place.h", "0.99999999 * bias", "2.0 * bias")],
+        [(_IN_PLACE, "0.99999999 * bias", "2.0 * bias")],
     ),
     "edges that float64 is sure of": (
         _SWEPT,
         "stairs or way_that",
-        [("visibility/in_place.h", "MASK_PAD * Sides::Plane::sum(way)", "0.0")],
+        [(_IN_PLACE, "MASK_PAD * Sides::Plane::sum(way)", "0.0")],
+    ),
+    "an edge is left open": (
+        _EDGES,
+        "ridges and usual_form and height_field",
+        [(_IN_PLACE, "if ((asking >> lane & 1) && open[lane].triangle >= 0)", "if (false)")],
+    ),
+    "any two edges are one": (
+        _EDGES,
+        "ridges and usual_form and height_field",
+        [(_IN_PLACE, "if (left.from != to || left.to != from)", "if (false)")],
+    ),
+    "edges have no direction": (
+        _EDGES,
+        "ridges and usual_form and height_field",
+        [
+            (
+                _IN_PLACE,
+                "if (left.from != to || left.to != from)",
+                "if ((left.from != to || left.to != from) && (left.from != from || left.to != to))",
+            )
+        ],
+    ),
+    "all triangles are seen from one side": (
+        _EDGES,
+        "ridges",
+        [(_IN_PLACE, "own.there > 0.0 ? 1.0 : -1.0", "1.0")],
+    ),
+    "an edge that is met is passed": (
+        _EDGES,
+        "ridges",
+        [(_IN_PLACE, "if (!(turn * side[k].value > side[k].off + IN_PLACE_LEAST))", "if (false)")],
+    ),
+    "certain whatever the bias": (
+        _BIASED,
+        "at_the_bias",
+        [(_IN_PLACE, "behind * far(way) >= 1.00000001 * bias * front", "true")],
+    ),
+    "certain of front faces": (
+        _FIELD,
+        "terrain",
+        [(_IN_PLACE, "if (asked.cull != 0 && turn > 0.0)", "if (false)")],
     ),
     "a sweep is kept whatever becomes of the surface": (
         _SWEPT,
