@@ -55,7 +55,7 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "beyond the plane or not": (
         _OWN,
         "within_roundings_of_triangles",
-        [(_FILTER, "per_both = sign / (there + here)", "per_both = 1e20f * sign")],
+        [(_FILTER, "per_both = sign * Lanes16::inverse(there + here)", "per_both = 1e20f * sign")],
     ),
     "lengths that float32 does not hold": (
         _OWN,

@@ -73,7 +73,7 @@ _MUTANTS: dict[str, tuple[str, tuple[bool, bool], list[Change]]] = {
     "wide nodes are not refitted": (
         "refitted",
         _USUAL,
-        [(_BVH + "build.py", "if len(self.tree.links):", "if not self.tree:")],
+        [(_BVH + "build.py", "self._launch(refit_wide_nodes, 1, [self.tree])", "pass")],
     ),
     "parents are refitted before their children": (
         "refitted",
