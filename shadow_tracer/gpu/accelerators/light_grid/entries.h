@@ -1,5 +1,5 @@
 // cpu
-// needs: exact/filter.h@16 visibility/answers.h accelerators/light_grid/tiles.h device/compress.h
+// needs: exact/filter.h@16 visibility/answers.h accelerators/light_grid/magnitudes16.h device/compress.h
 // constants: SHADOWED LEAF_TESTS ACCEPTED ALL_BLOCKS
 // arguments: Tiles tiles, EntryList entries, Answers answers
 // Entries gather in a list; whenever it is full, it is sorted by tile and traced, tile by tile, sixteen rays at a time.
@@ -51,19 +51,31 @@ struct Entries {
         return Filter16(record, Lanes16::load(rays), Lanes16::load(rays + 16), Lanes16::load(rays + 32),
                         Lanes16::load(rays + 48));
     }
+    // Of each ray its own.
+    static inline void bounds(const float* record, const float* rays, Real16& edge, Real16& depth) {
+        const Real16 m = Magnitudes16::of(Lanes16::load(rays), Lanes16::load(rays + 16), Lanes16::load(rays + 48));
+        edge = Filter16::edge(record, m, Lanes16::load(rays + 32));
+        depth = Filter16::depth(record, m);
+    }
     // The rays of a tile, those that are `live`, and a triangle; returns those that are live behind it.
     inline unsigned test(int tile, int number, unsigned live) {
         const float *rays = TileMemory::rays(tiles, tile), *about = record(number);
         tests += __builtin_popcount(live);
         // One bound for all of them: it grows with the magnitude, so that of the largest holds for the others.
         const wp::vec2& most = TileMemory::magnitudes(tiles, tile);
-        const Real16 edge = about[3] * most[1], depth = about[7] * most[0] + about[11];
+        Real16 edge[2], depth[2];
+        edge[0] = edge[1] = about[3] * most[1];
+        depth[0] = depth[1] = about[7] * most[0] + about[11];
+        if (Magnitudes16::apart(most))
+            for (int half = 0; half < 2; ++half)
+                bounds(about, rays + half * TileMemory::SIXTEEN_RAYS, edge[half], depth[half]);
         const Filter16 low = filter(about, rays), high = filter(about, rays + TileMemory::SIXTEEN_RAYS);
         const unsigned found =
-            ((unsigned)low.possible(edge, depth) | (unsigned)high.possible(edge, depth) << 16) & live;
+            ((unsigned)low.possible(edge[0], depth[0]) | (unsigned)high.possible(edge[1], depth[1]) << 16) & live;
         if (!found)
             return live;
-        const unsigned yes = ((unsigned)low.certain(edge, depth) | (unsigned)high.certain(edge, depth) << 16) & found;
+        const unsigned yes =
+            ((unsigned)low.certain(edge[0], depth[0]) | (unsigned)high.certain(edge[1], depth[1]) << 16) & found;
         const int piece = TileMemory::piece(tiles, tile);
         for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
             if (Settle::pair(answers, TileMemory::ray_of(tiles, piece, __builtin_ctz(maybe)), triangle(number)))

@@ -80,7 +80,7 @@ struct Image16 {
             const Lanes32 it = Lanes32::of(tiles, pieces, piece, half);
             const Mask16 lit = __builtin_convertvector(*(const Bytes*)(of + 16 * half) == (unsigned char)LIT, Mask16);
             const Mask16 some = lit & (it.U == it.U), fits = Fits16::of(it.U, it.V, it.W, it.Z);
-            magnitudes.take(some & fits, it);
+            magnitudes.take(some & fits, it.U, it.V, it.W, it.Z);
             live |= (unsigned)Lanes16::bits(some & fits) << 16 * half;
             odd |= (unsigned)Lanes16::bits(some & ~fits) << 16 * half;
         }

@@ -1,7 +1,7 @@
 // cpu
 // needs: accelerators/light_grid/on_face.h@16 accelerators/light_grid/tile_box.h accelerators/light_grid/tiles.h
-// needs: device/fold.h
-// constants: FACES FORWARD TILE_RAYS NO_GROUP SEVERAL_FACES ALL_RAYS MAGNITUDE_FLOOR
+// needs: device/fold.h accelerators/light_grid/magnitudes16.h
+// constants: FACES FORWARD TILE_RAYS NO_GROUP SEVERAL_FACES ALL_RAYS
 // arguments: Tiles tiles, Pieces pieces
 // What holds the rays of a face.
 struct Extents16 {
@@ -75,22 +75,6 @@ struct Lanes32 {
     // What float32 and set-up are at fault by, many times over.
     inline Real16 pad() const {
         return 0x1p-20f * (Lanes16::absolute(U) + Lanes16::absolute(V) + Lanes16::absolute(W) + Lanes16::absolute(Z));
-    }
-};
-// What the bounds of the filter are made of, for all live rays of a piece: the largest magnitude, and with |W|.
-struct Magnitudes16 {
-    Real16 most, with_w;
-
-    inline Magnitudes16() { most = with_w = 0.0f; }
-    inline void take(Mask16 in, const Lanes32& ray) {
-        const Real16 floor = MAGNITUDE_FLOOR;
-        const Real16 m = Lanes16::absolute(ray.U) + Lanes16::absolute(ray.V) + Lanes16::absolute(ray.Z) + floor;
-        const Real16 n = m + Lanes16::absolute(ray.W);
-        most = (in & (m > most)) ? m : most;
-        with_w = (in & (n > with_w)) ? n : with_w;
-    }
-    inline void store(const Tiles& tiles, int piece) const {
-        tiles.magnitudes.data[tiles.numbers.data[piece][0]] = wp::vec2(-Fold16::least(-most), -Fold16::least(-with_w));
     }
 };
 // What holds the live rays of a piece, before it is padded.

@@ -168,7 +168,8 @@ struct Pool16 {
                     for (int j = 0; j < 16; ++j)
                         for (int q = 0; q < 4; ++q)
                             lanes[16 * q + j] = pieces.rays.data[sorted[k + 16 * half + j]][q];
-                    magnitudes.take(Pieces16::live(pieces, piece, half), Lanes32(lanes));
+                    const Lanes32 it(lanes);
+                    magnitudes.take(Pieces16::live(pieces, piece, half), it.U, it.V, it.W, it.Z);
                 }
                 magnitudes.store(tiles, piece);
                 Pieces16::bound(number, inverse != 0, piece, tiles, pieces);

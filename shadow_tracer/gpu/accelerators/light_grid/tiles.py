@@ -78,7 +78,7 @@ class Tiles:
     # [tile][half][U V W Z magnitude][16]; lanes that are not ``live`` hold anything. On the CPU by piece (pieces.py),
     # and without magnitudes.
     rays: wp.array(dtype=float)
-    magnitudes: wp.array(dtype=wp.vec2)  # on the CPU, of each piece: the most of its rays, and with |W|
+    magnitudes: wp.array(dtype=wp.vec2)  # on the CPU, see magnitudes16.h
     order: wp.array(dtype=int)  # ray of each lane: [tile][32]; on the CPU see ``numbers``
     source: wp.array(dtype=wp.vec2i)  # on the CPU, of a tile: the piece that has its lanes, and which it is
     # and of each piece: the piece that has its lanes, where in ``order`` its rays are, and what is to be added there

@@ -34,12 +34,17 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "bounds of the filter from half of the rays": (
         _PIECES,
         "those_of_brute_force",
-        [(_GRID + "image16.h", "magnitudes.take(some & fits, it);", "if (!half) magnitudes.take(some & fits, it);")],
+        [(_GRID + "image16.h", "magnitudes.take(some & fits, it.U", "if (!half) magnitudes.take(some & fits, it.U")],
+    ),
+    "one bound for pieces however far rays are apart": (
+        "../../test_far.py",
+        "few_pixels and packed",
+        [(_GRID + "magnitudes16.h", "apart ? wp::vec2(none, none) : wp::vec2(m, n)", "wp::vec2(m, n)")],
     ),
     "bounds of the filter without W": (
         _PIECES,
         "those_of_brute_force",
-        [(_GRID + "pieces16.h", "m + Lanes16::absolute(ray.W)", "m")],
+        [(_GRID + "magnitudes16.h", "m + Lanes16::absolute(W)", "m")],
     ),
     "a face as far as its nearest ray": (
         _CANDIDATES,
