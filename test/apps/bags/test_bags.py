@@ -285,7 +285,7 @@ def test_a_run_that_is_killed_goes_on(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_interrupted_run_ends_at_once_with_130_and_goes_on(tmp_path: Path) -> None:
-    bag, out = small(120).write(tmp_path / "in"), tmp_path / "out"
+    bag, out = small(60).write(tmp_path / "in"), tmp_path / "out"
     command = [sys.executable, "-m", "shadow_tracer.apps.cli", "bags", str(bag), str(out), *OPTIONS]
     command += ["--frames", "1", "--jobs", "2"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True, text=True)
