@@ -145,7 +145,7 @@ def test_an_exception_at_any_step(question: str, names: str, threads: int, more:
     _changed(tracer, 0)
     total = steps.count(lambda: _ask(tracer, question, _OTHERS))
     assert total > 300
-    for number, at in enumerate(np.random.default_rng(7).integers(1, total, 6 if names in _SLOW else 15)):
+    for number, at in enumerate(np.random.default_rng(7).integers(1, total, 8 if names in _SLOW else 25)):
         _changed(tracer, number)
         _interrupt(steps, lambda: _ask(tracer, question, _OTHERS), int(at))
         tracer.scene.put("mesh", *_mesh(1))

@@ -194,7 +194,7 @@ def test_sixteen_kinds_that_cast_shadows() -> None:
         )
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", _KINDS)
 def test_fuzz(tracer: Any, kind: str, seed: int) -> None:
     _scenario(kind, seed).check(tracer)

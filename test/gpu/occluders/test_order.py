@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import geometry
@@ -12,6 +13,7 @@ import probe_occluders
 import pytest
 import sequences
 import warp as wp
+from interrupts import Ring, Steps
 
 from shadow_tracer import Bounds, Camera, HeightField, PointLight, Scene, ShadowTracer, render_depth
 from shadow_tracer.gpu.occluders import order
@@ -177,6 +179,31 @@ def test_who_was_left_out_comes_back_as_it_stood() -> None:
             np.testing.assert_array_equal(*found)
             assert 5 < found[0].sum() < 280
     assert probe_occluders.in_another_order(tracer) == {"ball", "other"}
+
+
+@pytest.mark.usefixtures("_always")
+def test_an_exception_while_a_mesh_is_put_into_its_order() -> None:
+    """At steps all over the second frame, in which the order is found: the frames after it are right."""
+    points = np.random.default_rng(14).uniform(-2.0, 2.0, (300, 3))
+    ball, oracle = _shuffled(15, geometry.icosphere(2)), ShadowTracer("brute_force", device="cpu", threads=1)
+    oracle.scene.put("ball", *ball)
+    expected, met, rung = oracle.occluded(points, _LAMP), 0, 0
+    for share in np.linspace(0.02, 0.98, 24):
+        tracer, steps = ShadowTracer("light_grid", device="cpu", bounds=sequences.ROOMY, threads=1), Steps()
+        tracer.scene.put("ball", *ball)
+        tracer.occluded(points, _LAMP)
+        again = ShadowTracer("light_grid", device="cpu", bounds=sequences.ROOMY, threads=1)
+        again.scene.put("ball", *ball)
+        again.occluded(points, _LAMP)
+        total = steps.count(partial(again.occluded, points, _LAMP))
+        try:
+            steps.run(partial(tracer.occluded, points, _LAMP), int(share * total) + 1)
+        except Ring:
+            rung += 1
+        for _ in range(3):
+            np.testing.assert_array_equal(tracer.occluded(points, _LAMP), expected)
+        met += probe_occluders.in_another_order(tracer) == {"ball"}
+    assert met == 24 and rung > 12
 
 
 @pytest.mark.usefixtures("_always")
