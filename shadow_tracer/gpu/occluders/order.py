@@ -31,8 +31,8 @@ from shadow_tracer.scene.parts import DepthSurface
 GROUP = 16  # triangles
 # Meshes of fewer are left as they are: they cost little whatever their order.
 LEAST = 4096
-# What the boxes' sizes come to has to be below this share of what it was. Measured: from 0.03 to 0.8 a frame takes 0.5
-# to 0.95 of the time, at 0.9 as long, above 1 longer.
+# What the boxes' sizes come to has to be below this share of what it was. Measured: from 0.04 to 0.78 a frame takes
+# 0.44 to 0.96 of the time, at 0.9 as long, above 1 longer (docs/performance.md).
 WORTH = 0.85
 _CELLS = 2.0**20  # along the longest side
 _BITS = 30  # of a place on the curve that are sorted by at once
