@@ -89,7 +89,7 @@ def transform_meshes(count: int, moves: wp.array(dtype=Move), world: wp.array(dt
 
 
 class Placing:
-    """Puts vertices into the world; in the wide form when it is told to ``end``, till when they have to stay where they
+    """Puts vertices into the world; in the wide form when ``end`` is called: until then they have to stay where they
     are.
 
     Args:
@@ -109,7 +109,7 @@ class Placing:
         self._count = 0
 
     def begin(self) -> None:
-        """Nothing is to be placed, whatever somebody was told who did not end."""
+        """Forget what an earlier call, which an exception ended, has left to be placed."""
         self._count = 0
 
     def place(self, pose: FloatArray, first: int, count: int, local: int, order: wp.array | None) -> None:
