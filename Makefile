@@ -53,8 +53,8 @@ test: $(VENV)/.has-test ## all tests of the package, on up to four cores; ARGS="
 mutants: $(VENV)/.has-test ## tests of the tests: in copies without a safeguard some of them must fail; ARGS as for test
 	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist worksteal -m mutant $(ARGS)
 
-quick: $(VENV)/.has-test ## the tests of the inner loop: of each function two cases, none over a second, of each pipeline its default variant; ARGS as for test, ARGS="--few-cases 0 -k name" takes all cases
-	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m "not slow" --default-variants --few-cases 2 --find-slow $(ARGS)
+quick: $(VENV)/.has-test ## the tests of the inner loop: of each function one case, none over a second, of each pipeline its default variant; ARGS as for test, ARGS="--few-cases 0 -k name" takes all cases
+	@$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m "not slow" --default-variants --few-cases 1 --find-slow $(ARGS)
 
 benchmark: $(VENV)/.has-benchmark ## the suite beside Embree, wp.Mesh and others, figures and plots into benchmark_output/; ARGS="--quick" is short
 	@$(PY) benchmark/suite.py --out benchmark_output $(ARGS)

@@ -14,7 +14,7 @@ SMALL = {
     "bounds.max_triangles": 4096,
     "bounds.max_rays": 128 * 96,
     "bounds.queue_capacity": 16384,
-    "diagnostics_period": 0.1,
+    "diagnostics_period": 0.02,
 }
 
 

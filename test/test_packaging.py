@@ -56,7 +56,7 @@ def imports_of(path: Path) -> set[str]:
     """Top-level names of every absolute import in a file: those inside functions and by import_module too."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "importlib.import_module":
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "import_module":
             names |= {str(argument.value).split(".")[0] for argument in node.args if isinstance(argument, ast.Constant)}
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}

@@ -26,7 +26,7 @@ DEFAULTS: dict[str, Any] = {
     "bounds.max_triangles": 100_000,
     "bounds.max_rays": 640 * 480,
     "bounds.queue_capacity": 100_000,
-    "diagnostics_period": 0.1,
+    "diagnostics_period": 0.02,
 }
 _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of prctl(2)
 _LAST_WORDS = 15  # lines of a node that are quoted

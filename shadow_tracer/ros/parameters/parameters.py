@@ -221,7 +221,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("sun_map.period", DOUBLE, 60.0,
               "Least time between the beginnings of two messages on sun_map.", "s", 0.25, 86_400.0),
     Parameter("diagnostics_period", DOUBLE, 1.0,
-              "Time between two messages on /diagnostics, on a steady clock.", "s", 0.1, 1.0),
+              "Time between two messages on /diagnostics, on a steady clock.", "s", 0.02, 1.0),
 )  # fmt: skip
 
 _BY_NAME = {row.name: row for row in PARAMETERS}

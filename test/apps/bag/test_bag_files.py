@@ -62,6 +62,7 @@ def test_every_storage_and_compression(
     assert "warning" not in err and "note" not in err
 
 
+@pytest.mark.slow
 def test_parts_without_metadata_are_read_in_order(tmp_path: Path, expected: list[np.ndarray]) -> None:
     whole = tmp_path / "run"
     whole.mkdir()

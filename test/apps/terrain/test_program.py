@@ -272,6 +272,7 @@ def test_what_a_run_leaves_that_was_interrupted_at_its_begin(tmp_path, left) -> 
     assert run.Parts(folder, "key", True).load(0) is None
 
 
+@pytest.mark.slow
 def test_the_same_command_goes_on_after_an_interrupt_while_files_are_written(model, monkeypatch, capsys) -> None:
     """None of them is there yet, which would be refused."""
     gif, names = pictures.Pictures.gif, [model.with_name(name) for name in ("sun.tif", "codes.tif", "a.png", "a.gif")]

@@ -120,6 +120,7 @@ def test_another_error_is_left_as_it_is(folder: Path) -> None:
     assert file.exists()
 
 
+@pytest.mark.slow
 def test_an_error_of_the_compiler_removes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any, **__: Any) -> None:
         raise OSError("No space left on device")

@@ -40,6 +40,7 @@ def _exactly(bias: float) -> np.ndarray:
     return oracle.occluded_exact(points, _SUN, surface.vertices, surface.triangles(), bias)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pipeline", available_pipelines())
 def test_a_ray_along_a_triangle_that_ends_before_the_bias(any_device: str, pipeline: str) -> None:
     points = _FIELD.positions().reshape(-1, 3)

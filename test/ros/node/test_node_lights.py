@@ -449,6 +449,7 @@ def test_light_bits_follow_the_parameter_lights(tracer: ShadowTracer, count: int
         assert not (bits >> count).any()
 
 
+@pytest.mark.slow
 def test_more_lights_than_bits_have_masks_but_no_bits(tracer: ShadowTracer) -> None:
     names = [f"l{k}" for k in range(17)]
     with Rig({"light_names": names, "bounds.max_lights": 17, "mask.publish": "always"}) as rig:

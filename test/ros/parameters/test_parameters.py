@@ -129,7 +129,7 @@ BAD = [
     ("sun_map.hours", 0.0, "sun_map.hours: expected double (0.25 to 744 h), got 0.0"),
     ("sun_map.step", math.nan, "sun_map.step: expected double (1 to 240 min), got nan"),
     ("sun_map.period", 0.0, "sun_map.period: expected double (0.25 to 86400 s), got 0.0"),
-    ("diagnostics_period", 0.0, "diagnostics_period: expected double (0.1 to 1 s), got 0.0"),
+    ("diagnostics_period", 0.0, "diagnostics_period: expected double (0.02 to 1 s), got 0.0"),
     (
         "lights.lamp.type",
         "laser",
