@@ -167,17 +167,16 @@ def test_rational_numbers(depth_camera, plain_forms, seed):
     same(plain_forms, scene, camera, depth, triangle)
     assert depth_camera.counters["retested"] > 20, "rays on edges and corners"
     for row, column in np.ndindex(17, 17):
-        hits = closest_hit.exact_hits(camera, row, column, vertices, triangles)
+        # Copies of a triangle have the same depth in any arithmetic: the first sixty say it all.
+        hits = closest_hit.exact_hits(camera, row, column, vertices, triangles[:60])
         number = int(triangle[row, column])
         if not hits:
             assert number == -1
             continue
         nearest = min(hits.values())
-        assert number in hits, "an exact hit"
+        assert number in hits, "an exact hit, and not the copy of one"
         assert float(hits[number]) <= float(nearest) * (1.0 + 1e-12)
         assert abs(float(depth[row, column]) - float(nearest)) <= 1e-7 * float(nearest)
-        # Copies of a triangle have the same depth in any arithmetic.
-        assert number < 60
 
 
 @pytest.mark.slow
