@@ -32,6 +32,8 @@ from shadow_tracer.gpu.accelerators.light_grid.tiles import (
     V_CELLS,
     TileBuffers,
     Tiles,
+    column_length,
+    column_places,
     lay_out,
     lookup_cell,
     no_column,
@@ -156,19 +158,23 @@ def find_groups(count: int, tiles: Tiles, keys: wp.array(dtype=int), starts: wp.
 
 @wp.kernel(enable_backward=False)
 def lay_out_groups(tiles: Tiles, starts: wp.array(dtype=int)):
-    """Columns and blocks of all groups: one thread, as each begins where the one before ends."""
+    """Columns and blocks of all groups. One thread per group: each adds up what those before it take, so that none
+    waits for another."""
+    number = wp.tid()
     column = int(0)
     block = int(0)
-    for number in range(tiles.lights * FACES):
-        rays = starts[number + 1] - starts[number]
-        end = column + lay_out(number, starts[number], rays, 1, column, block, tiles)
-        for k in range(column + tiles.groups[number, COLUMNS_OF], end):
-            no_column(k, tiles)
-        column = end
+    for before in range(number):
+        rays = starts[before + 1] - starts[before]
+        column += column_places(rays, column_length(rays, 1, tiles.fit[before]))
         block += (rays + BLOCK_RAYS - 1) // BLOCK_RAYS
-    tiles.counts[ALL_RAYS] = starts[tiles.lights * FACES]
-    tiles.counts[ALL_COLUMNS] = column
-    tiles.counts[ALL_BLOCKS] = block
+    rays = starts[number + 1] - starts[number]
+    end = column + lay_out(number, starts[number], rays, 1, column, block, tiles)
+    for k in range(column + tiles.groups[number, COLUMNS_OF], end):
+        no_column(k, tiles)
+    if number == tiles.lights * FACES - 1:
+        tiles.counts[ALL_RAYS] = starts[number + 1]
+        tiles.counts[ALL_COLUMNS] = end
+        tiles.counts[ALL_BLOCKS] = block + (rays + BLOCK_RAYS - 1) // BLOCK_RAYS
 
 
 @wp.kernel(enable_backward=False)
@@ -354,7 +360,7 @@ class Packer:
         # So many bits that what goes to the end comes behind the last group.
         sort.sort(count, V_BITS, V_BITS + U_BITS + groups.bit_length())
         launch(find_groups, count, count, tiles, sort.keys, self._starts)
-        launch(lay_out_groups, 1, tiles, self._starts)
+        launch(lay_out_groups, groups, tiles, self._starts)
         launch(make_column_keys, count, tiles, sort.keys)
         blocks = -(-count // BLOCK_RAYS) + groups
         columns = blocks + 16 * groups

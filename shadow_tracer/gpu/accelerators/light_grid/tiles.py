@@ -100,18 +100,23 @@ def column_length(rays: int, across: int, fit: wp.vec4) -> int:
 
 
 @wp.func
+def column_places(rays: int, length: int) -> int:
+    """Places for the columns of a group, ``length`` rays each: whole sixteens."""
+    return ((rays + length - 1) // length + 15) // 16 * 16
+
+
+@wp.func
 def lay_out(number: int, first_ray: int, rays: int, across: int, column: int, block: int, tiles: Tiles) -> int:
     """Columns and blocks of group ``number``, whose rays begin at ``first_ray``, from ``column`` and ``block`` on;
     returns how many places for columns they take."""
     length = column_length(rays, across, tiles.fit[number])
-    columns = (rays + length - 1) // length
     tiles.groups[number, FIRST_RAY] = first_ray
     tiles.groups[number, RAYS_OF] = rays
     tiles.groups[number, LENGTH] = length
     tiles.groups[number, FIRST_COLUMN] = column
-    tiles.groups[number, COLUMNS_OF] = columns
+    tiles.groups[number, COLUMNS_OF] = (rays + length - 1) // length
     tiles.groups[number, FIRST_BLOCK] = block
-    return (columns + 15) // 16 * 16
+    return column_places(rays, length)
 
 
 @native.func_native("accelerators/light_grid/fit.h", calls="Fit::cell")
