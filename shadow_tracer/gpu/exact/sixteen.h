@@ -46,6 +46,14 @@ struct Sixteen {
                 corner[half][k][2] = last;
             }
     }
+    // Brings their corners into the cache.
+    static inline void fetch(int first, int count, const wp::array_t<wp::vec3d>& vertices,
+                             const wp::array_t<wp::vec3i>& triangles) {
+        const int end = first + 16 < count ? first + 16 : count;
+        for (int t = first; t < end; ++t)
+            for (int k = 0; k < 3; ++k)
+                __builtin_prefetch(vertices.data + triangles.data[t][k]);
+    }
     inline void project(const Axes8& axes) {
         for (int half = 0; half < 2; ++half)
             for (int k = 0; k < 3; ++k)
