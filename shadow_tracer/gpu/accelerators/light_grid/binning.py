@@ -304,6 +304,7 @@ class EntryList:
     sorted: wp.array(dtype=int)
     start: wp.array(dtype=int)  # per tile
     total: wp.array(dtype=int)  # entries of each tile so far
+    hidden: wp.array(dtype=int)  # of each tile: bits of the rays that triangles are certain to hide
     count: wp.array(dtype=int)  # [entries waiting, times that it was full, clusters that have records]
     visited: wp.array(dtype=int)  # by a cluster: tiles; blocks, from number tile_places on
     masks: wp.array(dtype=int)  # of each tile that is visited: the triangles that touch it, as bits
@@ -347,7 +348,7 @@ def bin_light(
 
 @native.func_native("accelerators/light_grid/entries.h", calls="Entries::finish")
 def trace_list(tiles: Tiles, entries: EntryList, answers: Answers):
-    """Trace what is in the list."""
+    """Trace what is in the list, and write down what has been found."""
     ...
 
 
@@ -367,6 +368,7 @@ def bin_wide(
     slots = 16 * tiles.counts[2]
     for k in range(slots):
         entries.total[k] = 0
+        entries.hidden[k] = 0
     for k in range(3):
         entries.count[k] = 0
     for place in range(tiles.lights):

@@ -65,6 +65,8 @@ struct Binning16 : Together16 {
         Cluster cluster(casters, frame, space);
         Seen16 seen;
         for (int k = first_cluster; k < last_cluster; ++k) {
+            if (k + 1 < last_cluster)
+                cluster.fetch(clusters.data[k + 1]);
             cluster.open(clusters.data[k], aligned);
             int record = -1; // of the first of them, if their planes are known
             for (int left = faces.data[k]; left; left &= left - 1) {

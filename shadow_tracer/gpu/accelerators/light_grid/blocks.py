@@ -47,6 +47,7 @@ class BlockGrid:
         entries.sorted = wp.empty(entries.capacity, dtype=int, device=device)
         entries.start = wp.empty(places + 1, dtype=int, device=device)
         entries.total = wp.empty(places, dtype=int, device=device)
+        entries.hidden = wp.empty(places, dtype=int, device=device)
         entries.count = wp.zeros(3, dtype=int, device=device)
         entries.tile_places = places + _AHEAD
         entries.visited = wp.empty(places + buffers.most_blocks + 2 * _AHEAD, dtype=int, device=device)
@@ -148,7 +149,7 @@ class BlockGrid:
     def nbytes(self) -> int:
         entries = self._entries
         arrays = (entries.tile, entries.record, entries.sorted, entries.start, entries.total, entries.count)
-        arrays += (entries.visited, entries.masks, entries.records, entries.first)
+        arrays += (entries.hidden, entries.visited, entries.masks, entries.records, entries.first)
         arrays += (self._clusters, self._faces, self._ends)
         kept = sum(array.nbytes for array in self._kept)
         return self._pieces.nbytes() + kept + sum(int(array.capacity) for array in arrays)

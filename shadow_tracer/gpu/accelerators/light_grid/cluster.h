@@ -16,6 +16,9 @@ struct Cluster {
 
     inline Cluster(const Casters& casters, const LightFrame& frame, const LightSpace& space)
         : casters(casters), frame(frame), space(space), axes(Axes8::of(frame)) {}
+    inline void fetch(int number) const {
+        Sixteen::fetch(16 * number, casters.count, casters.vertices, casters.triangles);
+    }
     // aligned: whether its rays are in the aligned frustum.
     inline void open(int number, bool aligned) {
         first = 16 * number;

@@ -1,6 +1,6 @@
 // cpu
-// needs: exact/filter.h@16 visibility/answers.h accelerators/light_grid/magnitudes16.h device/compress.h
-// constants: SHADOWED LEAF_TESTS ACCEPTED ALL_BLOCKS
+// needs: exact/filter.h@16 accelerators/light_grid/hidden.h accelerators/light_grid/magnitudes16.h device/compress.h
+// constants: LEAF_TESTS ACCEPTED ALL_BLOCKS
 // arguments: Tiles tiles, EntryList entries, Answers answers
 // Entries gather in a list; whenever it is full, it is sorted by tile and traced, tile by tile, sixteen rays at a time.
 struct Entries {
@@ -32,11 +32,7 @@ struct Entries {
     }
     // They stay if an entry of theirs may wait.
     inline void close_records() { entries.count.data[2] += flushes != flushed || entries.count.data[0] > waiting; }
-    inline void shadow(int tile, unsigned rays) {
-        const int piece = TileMemory::piece(tiles, tile);
-        for (; rays; rays &= rays - 1)
-            answers.states.data[TileMemory::ray_of(tiles, piece, __builtin_ctz(rays))] = SHADOWED;
-    }
+    inline void shadow(int tile, unsigned rays) { entries.hidden.data[tile] |= (int)rays; }
     // All rays of a tile are in shadow.
     inline void accept(int tile) {
         const unsigned live = (unsigned)tiles.live.data[tile];
@@ -76,9 +72,9 @@ struct Entries {
             return live;
         const unsigned yes =
             ((unsigned)low.certain(edge[0], depth[0]) | (unsigned)high.certain(edge[1], depth[1]) << 16) & found;
-        const int piece = TileMemory::piece(tiles, tile);
         for (unsigned maybe = found & ~yes; maybe; maybe &= maybe - 1)
-            if (Settle::pair(answers, TileMemory::ray_of(tiles, piece, __builtin_ctz(maybe)), triangle(number)))
+            if (Settle::pair(answers, TileMemory::ray_of(tiles, TileMemory::piece(tiles, tile), __builtin_ctz(maybe)),
+                             triangle(number)))
                 live &= ~(maybe & -maybe);
         shadow(tile, yes);
         return live & ~yes;
@@ -195,5 +191,6 @@ struct Entries {
         Entries it(tiles, entries, answers);
         it.flush();
         it.report();
+        Hidden::write_all(tiles, answers, entries.hidden, 16 * tiles.counts.data[ALL_BLOCKS]);
     }
 };

@@ -1,10 +1,28 @@
 // cpu
-// needs: samples/view.h accelerators/admission.h accelerators/fits.h@16 accelerators/light_grid/pieces16.h
+// needs: device/lanes.h@8 samples/view.h accelerators/admission.h accelerators/fits.h@16 accelerators/light_grid/pieces16.h
 // constants: TILE_RAYS PIECE_ROWS SEGMENT LIT INVALID RAYS COUNTER_ROWS
 // arguments: LightFrame frame, Tiles tiles, Pieces pieces
 // Samples in the order of their pieces straight into lanes: rays of a light are written once, where they stay.
 struct Image16 {
     typedef unsigned char Bytes __attribute__((ext_vector_type(16), aligned(1)));
+    // Which rays of a piece take part, and as bits those of them that are wild.
+    struct Admitted {
+        unsigned live, odd;
+        Magnitudes16 magnitudes;
+
+        inline Admitted() : live(0), odd(0) {}
+        inline void take(int half, Bytes state, Real16 U, Real16 V, Real16 W, Real16 Z) {
+            const Mask16 lit = __builtin_convertvector(state == (unsigned char)LIT, Mask16);
+            const Mask16 some = lit & (U == U), fits = Fits16::of(U, V, W, Z);
+            magnitudes.take(some & fits, U, V, W, Z);
+            live |= (unsigned)Lanes16::bits(some & fits) << 16 * half;
+            odd |= (unsigned)Lanes16::bits(some & ~fits) << 16 * half;
+        }
+        inline void store(int piece, const Tiles& tiles, const Pieces& pieces) const {
+            pieces.live.data[piece] = (int)live;
+            magnitudes.store(tiles, piece);
+        }
+    };
     enum { CHUNK = 8, MOST = SEGMENT };
     float ray[4][PIECE_ROWS][MOST]; // U V W Z of some samples of some rows
     wp::uint8 state[PIECE_ROWS][MOST];
@@ -40,20 +58,33 @@ struct Image16 {
         memcpy(states, found_state, n);
         traced += rays;
     }
-    // The lanes of a piece whose samples begin at `column`, in chunks of eight.
+    // Sixteen lanes of eight numbers and eight others.
+    static inline Real16 joined(const float* low, const float* high) {
+        const Real8 a = Lanes8::load(low), b = Lanes8::load(high);
+        return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    }
+    // The lanes of a piece whose samples begin at `column`, in chunks of eight, which are put together in registers:
+    // what has been written in parts is slow to read as a whole.
     inline void put(int piece, int column, const Tiles& tiles, const Pieces& pieces, const wp::array_t<int>& wild,
                     const wp::array_t<int>& wild_counts) const {
         const bool one_row = pieces.rows == 1;
         float* lanes = TileMemory::lanes(tiles, piece);
-        wp::uint8 of[TILE_RAYS];
-        for (int chunk = 0; chunk < TILE_RAYS / CHUNK; ++chunk) {
-            const int row = one_row ? 0 : chunk, from = one_row ? column + CHUNK * chunk : column;
-            float* to = lanes + (chunk >> 1) * TileMemory::SIXTEEN_RAYS + CHUNK * (chunk & 1);
-            for (int k = 0; k < 4; ++k)
-                memcpy(to + 16 * k, ray[k][row] + from, CHUNK * sizeof(float));
-            memcpy(of + CHUNK * chunk, state[row] + from, CHUNK);
+        Admitted admitted;
+        for (int half = 0; half < 2; ++half) {
+            const int low = one_row ? 0 : 2 * half, high = one_row ? 0 : 2 * half + 1;
+            const int from = one_row ? column + 2 * CHUNK * half : column, to = one_row ? from + CHUNK : column;
+            Real16 lane[4];
+            for (int k = 0; k < 4; ++k) {
+                lane[k] = joined(ray[k][low] + from, ray[k][high] + to);
+                Lanes16::store(lanes + half * TileMemory::SIXTEEN_RAYS + 16 * k, lane[k]);
+            }
+            Bytes of;
+            memcpy(&of, state[low] + from, CHUNK);
+            memcpy((wp::uint8*)&of + CHUNK, state[high] + to, CHUNK);
+            admitted.take(half, of, lane[0], lane[1], lane[2], lane[3]);
         }
-        unsigned odd = admit(piece, of, tiles, pieces);
+        unsigned odd = admitted.odd;
+        admitted.store(piece, tiles, pieces);
         for (; odd; odd &= odd - 1) {
             const int lane = __builtin_ctz(odd), number = TileMemory::ray_of(tiles, piece, lane);
             pieces.rays.data[number] = TileMemory::ray(tiles, piece, lane);
@@ -69,24 +100,14 @@ struct Image16 {
         for (int j = 0; j < n; ++j)
             for (int k = 0; k < 4; ++k)
                 to[j][k] = ray[k][0][column + j];
-        for (unsigned odd = admit(piece, state[0] + column, tiles, pieces); odd; odd &= odd - 1)
-            Admission::list(first + __builtin_ctz(odd), wild, wild_counts);
-    }
-    // Which rays of a piece take part, and as bits those of them that are wild.
-    static inline unsigned admit(int piece, const wp::uint8* of, const Tiles& tiles, const Pieces& pieces) {
-        unsigned live = 0, odd = 0;
-        Magnitudes16 magnitudes;
+        Admitted admitted;
         for (int half = 0; half < 2; ++half) {
             const Lanes32 it = Lanes32::of(tiles, pieces, piece, half);
-            const Mask16 lit = __builtin_convertvector(*(const Bytes*)(of + 16 * half) == (unsigned char)LIT, Mask16);
-            const Mask16 some = lit & (it.U == it.U), fits = Fits16::of(it.U, it.V, it.W, it.Z);
-            magnitudes.take(some & fits, it.U, it.V, it.W, it.Z);
-            live |= (unsigned)Lanes16::bits(some & fits) << 16 * half;
-            odd |= (unsigned)Lanes16::bits(some & ~fits) << 16 * half;
+            admitted.take(half, *(const Bytes*)(state[0] + column + 16 * half), it.U, it.V, it.W, it.Z);
         }
-        pieces.live.data[piece] = (int)live;
-        magnitudes.store(tiles, piece);
-        return odd;
+        admitted.store(piece, tiles, pieces);
+        for (unsigned odd = admitted.odd; odd; odd &= odd - 1)
+            Admission::list(first + __builtin_ctz(odd), wild, wild_counts);
     }
     // A segment of a light: pieces side by side, of up to MOST samples of each of their rows.
     static inline void segment(int number, int place, const LightFrame& frame, int inverse, int counted,

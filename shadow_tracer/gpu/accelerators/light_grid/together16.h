@@ -91,10 +91,41 @@ struct Together16 : Entries {
         }
         return kept;
     }
+    // The planes of sixteen triangles as they stand on a face, for one box after the other.
+    struct Faced {
+        Real16 a[4], b[4], c[4], wide[4], high[4], slope, edge, plane;
+
+        inline Faced(const Planes16& planes, int face) : slope(planes.p[3]), edge(-planes.edge), plane(-planes.plane) {
+            const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
+            const float sign = face & 1 ? -1.0f : 1.0f;
+            for (int q = 0; q < 4; ++q) {
+                const Real16(&n)[3] = q < 3 ? planes.n[q] : *(const Real16(*)[3])planes.p;
+                a[q] = n[first];
+                b[q] = n[second];
+                c[q] = sign * n[axis];
+                wide[q] = Lanes16::absolute(a[q]);
+                high[q] = Lanes16::absolute(b[q]);
+            }
+        }
+        // How far the box gets on the inner side of a plane.
+        inline Real16 most(int q, Real16 cu, Real16 cv, Real16 eu, Real16 ev) const {
+            CONTRACTED
+            return a[q] * cu + (b[q] * cv + (wide[q] * eu + (high[q] * ev + c[q])));
+        }
+        // The triangles that cannot be said to miss the box, as bits; as Box16::judge has it for boxes.
+        inline int meets(const float* box) const {
+            CONTRACTED
+            const Real16 cu = box[0], cv = box[16], eu = box[32], ev = box[48], t0 = box[64];
+            const float s0 = fabsf(box[64]), s1 = fabsf(box[80]), m = 6.0f + 2.001f * (s0 > s1 ? s0 : s1);
+            const Real16 beside = edge * m;
+            return Lanes16::bits((most(0, cu, cv, eu, ev) >= beside) & (most(1, cu, cv, eu, ev) >= beside)
+                                 & (most(2, cu, cv, eu, ev) >= beside)
+                                 & (slope * t0 + most(3, cu, cv, eu, ev) >= plane * m));
+        }
+    };
     // Enters what the planes of the triangles cannot be said to miss, of the first `count` tiles.
     inline void enter_all(const Planes16& planes, int face, int count, int record) {
-        const int axis = face >> 1, first = (axis + 1) % 3, second = (axis + 2) % 3;
-        const float sign = face & 1 ? -1.0f : 1.0f;
+        const Faced faced(planes, face);
         const int *tile = entries.visited.data, *mask = entries.masks.data;
         int from = entries.count.data[0], before = flushes;
         for (int k = 0; k < count; ++k) {
@@ -102,17 +133,7 @@ struct Together16 : Entries {
             for (int q = 0; q < TileMemory::RAYS; q += 16)
                 __builtin_prefetch(rays + q);
             const float* box = TileBox::at(tiles.boxes, tile[k]);
-            const Real16 cu = box[0], cv = box[16], eu = box[32], ev = box[48], t0 = box[64];
-            const float s0 = fabsf(box[64]), s1 = fabsf(box[80]), m = 6.0f + 2.001f * (s0 > s1 ? s0 : s1);
-            Real16 middle[4], reach[4];
-            for (int q = 0; q < 4; ++q) {
-                const Real16(&n)[3] = q < 3 ? planes.n[q] : *(const Real16(*)[3])planes.p;
-                middle[q] = n[first] * cu + n[second] * cv + sign * n[axis];
-                reach[q] = Lanes16::absolute(n[first]) * eu + Lanes16::absolute(n[second]) * ev;
-            }
-            int covered;
-            const int met = Box16::judge(mask[k], middle, reach, planes.p[3] * t0, planes.p[3] * t0, planes.edge * m,
-                                         planes.plane * m, covered);
+            const int met = mask[k] & faced.meets(box);
             enter_records(tile[k], (met | (mask[k] & planes.blind)) & ~planes.silent, record);
             from = flushes == before ? from : 0;
             before = flushes;

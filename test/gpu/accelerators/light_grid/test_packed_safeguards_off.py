@@ -34,7 +34,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "bounds of the filter from half of the rays": (
         _PIECES,
         "those_of_brute_force",
-        [(_GRID + "image16.h", "magnitudes.take(some & fits, it.U", "if (!half) magnitudes.take(some & fits, it.U")],
+        [(_GRID + "image16.h", "magnitudes.take(some & fits, U", "if (!half) magnitudes.take(some & fits, U")],
     ),
     "one bound for pieces however far rays are apart": (
         "../../test_far.py",
@@ -99,7 +99,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "tiles of a cluster where the last ray is": (
         _TOGETHER,
         "clusters",
-        [(_GRID + "together16.h", "planes.p[3] * t0, planes.p[3] * t0", "planes.p[3] * box[80], planes.p[3] * t0")],
+        [(_GRID + "together16.h", "(slope * t0 + most(3", "(slope * box[80] + most(3")],
     ),
     "records written over while entries of them wait": (
         _TOGETHER,
@@ -115,6 +115,26 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         _TOGETHER,
         "clusters",
         [(_GRID + "entries.h", "flushes != flushed || entries", "entries")],
+    ),
+    "only the last rays of a tile that are found": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "entries.h", "entries.hidden.data[tile] |= (int)rays;", "entries.hidden.data[tile] = (int)rays;")],
+    ),
+    "rays that were found in the frame before": (
+        _TOGETHER,
+        "clusters",
+        [(_GRID + "binning.py", "        entries.hidden[k] = 0\n", "")],
+    ),
+    "samples of a piece that are not side by side": (
+        _PIECES,
+        "brute_force",
+        [(_GRID + "hidden.h", "return !__builtin_reduce_or(all ^ (lane + numbers[0]));", "return true;")],
+    ),
+    "eight states for one ray that is found": (
+        _PIECES,
+        "brute_force",
+        [(_GRID + "hidden.h", "(bit & bits) != 0 ? shadowed : all", "bits != 0 ? shadowed : all")],
     ),
     "pieces on the first of their faces": (
         _PIECES,
