@@ -53,6 +53,12 @@ template <class T> T atomic_min(T* to, T value);
 template <class T> T min(T x, T y) { return x < y ? x : y; }
 template <class T> T max(T x, T y) { return x > y ? x : y; }
 bool isfinite(const vec3d& v);
+vec3d operator+(const vec3d& x, const vec3d& y);
+vec3d operator-(const vec3d& x, const vec3d& y);
+vec3d operator*(double x, const vec3d& y);
+vec3d cross(const vec3d& x, const vec3d& y);
+vec3d normalize(const vec3d& x);
+double length(const vec3d& x);
 struct BVHPackedNodeHalf {
     float x, y, z;
     unsigned i : 31;

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from shadow_tracer.scene.bias import Bias
+from shadow_tracer.scene.bias import constant_bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.checks import FloatArray, positions_of, valid_points
 from shadow_tracer.scene.frame_checks import Lights, check_bits, check_lights, check_points
@@ -182,11 +182,11 @@ class PointAnswers:
         self, flat: FloatArray, valid: npt.NDArray[np.bool_] | None, lights: Lights, bias: float, samples: str
     ) -> Iterator[tuple[slice, Traced]]:
         """Trace the positions piece by piece."""
-        constant = Bias(constant=bias).constant
+        constant = constant_bias(bias)
 
         def trace(piece: slice) -> Traced:
             some = None if valid is None else valid[piece]
-            return self._engine.trace_points(
+            return self._engine.ask_points(
                 self.scene, flat[piece], lights, constant, some, self._culling, samples=samples
             )
 

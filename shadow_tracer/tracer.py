@@ -193,6 +193,8 @@ class ShadowTracer(PointAnswers, ConeAnswers):
                 self._engine.trace_depth(scene, depth, camera, [light], bias, verify=verify)
         scene.deform("triangle", [(0, 0, 1), (1, 0, 1), (0, 1, 1.5)])
         point = np.array([[0.1, 0.1, 2.0]])
+        if not verify:
+            self._engine.ask_points(scene, point, [light], 0.0)
         for each in (light, SphereLight("bulb", (0.0, 0.0, 0.0), 0.1, samples=2)):
             self._engine.trace_points(scene, point, [each], 0.0, verify=verify)
 

@@ -8,7 +8,9 @@ import os
 import sys
 import zlib
 from collections.abc import Iterator
+from contextlib import ExitStack
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import few_cases
@@ -28,6 +30,7 @@ BOUNDS = {
 }
 
 
+_GPU = Path(__file__).parent / "gpu"
 _HOW_IT_RAN = pytest.StashKey[list[str]]()
 
 
@@ -103,6 +106,8 @@ def _cases(default_variants: bool) -> list[tuple[tuple[str, str, str], str]]:
             cases += [((device, name, each), probe.USUAL) for each in (variants[:1] if default_variants else variants)]
             if name in _IN_CUDA_FORM and not default_variants and probe.wide(device):
                 cases.append(((device, name, variants[0]), probe.CUDA))
+            if name == "light_grid" and not default_variants and probe.wide(device):
+                cases.append(((device, name, variants[0]), probe.EVERY_PAIR))
     return cases
 
 
@@ -139,7 +144,8 @@ _FOR_ALL = ("test_front_face_culling", "cone_hierarchy", "test_probe")
 
 
 def _takes_turns(pipeline: str, variant: str, form: str) -> bool:
-    return f"{pipeline}-{variant}" not in _IN_ALL_CASES or (form == probe.CUDA and pipeline == "brute_force")
+    some = form == probe.EVERY_PAIR or (form == probe.CUDA and pipeline == "brute_force")
+    return some or f"{pipeline}-{variant}" not in _IN_ALL_CASES
 
 
 @cache
@@ -158,7 +164,7 @@ def _turn(item: pytest.Item) -> bool:
         return True
     slowest = f"{pipeline}-{variant}".startswith(_SLOWEST)
     turns = _TURNS_OF_SLOW if slow and slowest else _TURNS_OF_VIEWS if "test_views" in path else _TURNS
-    name = item.nodeid.replace("-".join(case), "").replace(f"-{probe.CUDA}", "")
+    name = item.nodeid.replace("-".join(case), "").replace(f"-{form}", "")
     return (zlib.crc32(name.encode()) + _takers(device).index((case, form))) % turns == 0
 
 
@@ -179,7 +185,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "tracer_case" in metafunc.fixturenames:
         cases = _cases(metafunc.config.getoption("--default-variants"))
-        ids = ["-".join([*case, form] if form == probe.CUDA else case) for case, form in cases]
+        ids = ["-".join(case if form == probe.USUAL else [*case, form]) for case, form in cases]
         metafunc.parametrize(("tracer_case", "kernel_form"), cases, ids=ids, scope="session", indirect=["kernel_form"])
     elif "any_device" in metafunc.fixturenames:
         metafunc.parametrize("any_device", _devices(), scope="session")
@@ -187,9 +193,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(autouse=True)
 def kernel_form(request: pytest.FixtureRequest) -> Iterator[str]:
-    """The form in which the CPU runs kernels as long as the test lasts, one of ``probe.FORMS``: of parameters."""
+    """The form in which the CPU runs kernels as long as the test lasts, one of ``probe.FORMS`` or EVERY_PAIR: of
+    parameters. Pipelines that are tested are asked about few points and triangles, too."""
     form: str = getattr(request, "param", probe.USUAL)
-    with probe.form(form):
+    with probe.form(form), ExitStack() as stack:
+        if form != probe.EVERY_PAIR and ("tracer_case" in request.fixturenames or request.path.is_relative_to(_GPU)):
+            stack.enter_context(probe.few_pairs(0))
         yield form
 
 

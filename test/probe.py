@@ -25,8 +25,9 @@ if TYPE_CHECKING:  # what lies in gpu is imported when conftest.py has chosen th
     from shadow_tracer.gpu.exact.light_frame import Anchor
     from shadow_tracer.gpu.occluders.world import SceneBuffers
 
-# The form of kernels that the CPU takes in this process, see conftest.py, and that of a CUDA thread.
-USUAL, CUDA = "usual_form", "cuda_form"
+# The form of kernels that the CPU takes in this process, see conftest.py, and that of a CUDA thread; and the usual one,
+# where every pair of points and triangles is asked about, however many there are.
+USUAL, CUDA, EVERY_PAIR = "usual_form", "cuda_form", "every_pair"
 FORMS = (USUAL, CUDA)
 in_both_forms = pytest.mark.parametrize("kernel_form", FORMS, indirect=True)
 in_cuda_form = pytest.mark.parametrize("kernel_form", [CUDA], indirect=True)
@@ -44,16 +45,32 @@ def in_forms(argument: str, usual: Sequence[Any], cuda: Sequence[Any]) -> pytest
 
 @contextmanager
 def form(name: str) -> Iterator[None]:
-    """Let the CPU run kernels in one of :data:`FORMS`. A tracer that is made meanwhile is not to be used afterwards,
-    nor one that was made before, except in the same form again. The fixture ``kernel_form`` does it for a whole test.
+    """Let the CPU run kernels in one of :data:`FORMS`, or EVERY_PAIR. A tracer that is made meanwhile is not to be used
+    afterwards, nor one that was made before, except in the same form again. The fixture ``kernel_form`` does it for a
+    whole test.
     """
     if name == USUAL:
         yield
+        return
+    if name == EVERY_PAIR:
+        with few_pairs(1 << 60):
+            yield
         return
     from shadow_tracer.gpu.device import forms
 
     with pytest.MonkeyPatch.context() as patch, forms.cuda_form():
         forget_depth_cameras(patch)  # render_depth keeps one from call to call, of the other form
+        yield
+
+
+@contextmanager
+def few_pairs(most: int) -> Iterator[None]:
+    """Let so many pairs of points and triangles be few: 0 for a test of what the pipeline does with them."""
+    from shadow_tracer.gpu.visibility import few_pairs as few
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(few, "MOST_PAIRS", most)
+        patch.setattr(few, "MOST_POINTS", most)
         yield
 
 

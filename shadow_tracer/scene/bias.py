@@ -35,7 +35,17 @@ class Bias:
 
     def __post_init__(self) -> None:
         for name in ("constant", "quadratic", "normal"):
-            value = finite(getattr(self, name), f"bias.{name}")
-            if not 0.0 <= value <= LARGEST:
-                raise ValueError(f"bias.{name}: expected a number from 0 to {LARGEST:g}, got {value!r}")
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, _length(getattr(self, name), name))
+
+
+def constant_bias(value: float) -> float:
+    """``Bias(constant=value).constant``."""
+    return _length(value, "constant")
+
+
+def _length(value: float, name: str) -> float:
+    if type(value) is not float or not 0.0 <= value <= LARGEST:
+        value = finite(value, f"bias.{name}")
+        if not 0.0 <= value <= LARGEST:
+            raise ValueError(f"bias.{name}: expected a number from 0 to {LARGEST:g}, got {value!r}")
+    return value

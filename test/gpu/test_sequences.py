@@ -19,6 +19,7 @@ _VARIANTS = [(name, variant) for name, variants in available_pipelines().items()
 _DEFAULTS = [(name, variants[0]) for name, variants in available_pipelines().items()]
 _CASES = [(names, probe.USUAL) for names in _VARIANTS]
 _CASES += [(names, probe.CUDA) for names in _DEFAULTS if names[0] in ("light_grid", "cone_hierarchy", "brute_force")]
+_CASES += [(names, probe.EVERY_PAIR) for names in (("light_grid", "packed"), ("auto", "measured"))]
 
 
 def _each(cases: list[tuple[tuple[str, str], str]]) -> pytest.MarkDecorator:

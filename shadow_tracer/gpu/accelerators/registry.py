@@ -28,6 +28,7 @@ class PipelineEntry:
         cones: variants through whose structure cones can go.
         apart: who traces the points of a light with size one by one in the CPU's form, where that costs less than to
             ask about all points together; None: the same.
+        few: variants that leave a few points and triangles to ``visibility/few_pairs.py``, in the CPU's form.
     """
 
     summary: str
@@ -35,6 +36,7 @@ class PipelineEntry:
     side_by_side: tuple[str, ...] = ()
     cones: tuple[str, ...] = ()
     apart: tuple[str, str] | None = None
+    few: tuple[str, ...] = ()
 
     @property
     def variants(self) -> tuple[str, ...]:
@@ -65,6 +67,7 @@ REGISTRY: dict[str, PipelineEntry] = {
         "triangles in tiles of directions around the light, rays sorted into them",
         {"packed": _PACKED, "spherical": "spherical_grid.spherical:SphericalGrid"},
         ("packed",),
+        few=("packed",),
     ),
     "cone_hierarchy": PipelineEntry(
         "rays in a tree of directions, triangles go through it: nothing is kept of the scene",
@@ -187,6 +190,11 @@ def apart(pipeline: str, variant: str) -> tuple[str, str] | None:
     """Who traces points of lights with size one by one in the CPU's form for a pipeline that asks about all together;
     None: itself, or nobody needs to."""
     return REGISTRY[pipeline].apart
+
+
+def asks_few(pipeline: str, variant: str) -> bool:
+    """Whether a variant leaves a few points and triangles to ``visibility/few_pairs.py``."""
+    return variant in REGISTRY[pipeline].few
 
 
 def side_by_side(pipeline: str, variant: str) -> bool:

@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from shadow_tracer.gpu.accelerators.registry import AUTO, cones, for_cones
+from shadow_tracer.gpu.accelerators.registry import AUTO, asks_few, cones, for_cones
+from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import can_record, end_recording
 from shadow_tracer.gpu.device.seats import Seat
 from shadow_tracer.gpu.device.workers import Workers
@@ -29,6 +30,7 @@ from shadow_tracer.gpu.engine.frame import FrameTracer, Kind, Loaded, kinds_of
 from shadow_tracer.gpu.engine.gather import Traced
 from shadow_tracer.gpu.occluders.world import SceneBuffers
 from shadow_tracer.gpu.samples.held import Source
+from shadow_tracer.gpu.visibility.few_pairs import FewPairs, are_few
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from shadow_tracer.gpu.accelerators.registry import Cones
 
 _Result = TypeVar("_Result")
+_FEW = "few pairs"  # the kernel that asks about every pair
 
 
 @dataclass
@@ -50,6 +53,7 @@ class _Inside:
     tracers: list[FrameTracer]  # of each set of samples
     verifier: FrameTracer | None = None  # of another pipeline, which shares nothing but the scene
     cones: Cones | None = None  # once somebody has asked about one
+    few: FewPairs | None = None  # the same
 
     def all(self) -> list[FrameTracer]:
         """Those of the sets, and the verifier."""
@@ -77,6 +81,7 @@ class Engine:
         self._loaded: set[Loaded] = set()
         self._names: Names = (pipeline, variant)
         self._chooser = _chooser_of(self._names)
+        self._asks_few = self._few_asked()
         self._verifier: Names | None = None
         self._sets: dict[str, int] = {}
         self._inside: _Inside | None = None
@@ -169,6 +174,7 @@ class Engine:
 
         def take(inside: _Inside) -> None:
             self._names, self._chooser = names, chooser
+            self._asks_few = self._few_asked()
             if self.verifier in self.pipelines:
                 self._verifier = inside.verifier = None
             for tracer, bands in zip(inside.tracers, made, strict=True):
@@ -180,6 +186,11 @@ class Engine:
     def pipelines(self) -> frozenset[str]:
         """Names of the pipelines that may trace a frame: several if one of them is chosen each time."""
         return frozenset(name for name, _ in self._chooser.candidates) if self._chooser else frozenset([self._names[0]])
+
+    def _few_asked(self) -> bool:
+        """Whether a few points and triangles are asked about without the pipeline."""
+        candidates = self._chooser.candidates if self._chooser else [self._names]
+        return forms.wide(self.device) and any(asks_few(*names) for names in candidates)
 
     @property
     def chooser(self) -> Chooser | None:
@@ -269,6 +280,34 @@ class Engine:
             FrameTracer.trace_points, scene=scene, points=points, lights=lights, bias=bias, valid=valid, cull=cull
         )
         return self._trace(trace, verify, frames, samples)
+
+    def ask_points(
+        self,
+        scene: Scene,
+        points: FloatArray,
+        lights: Sequence[Light],
+        bias: float,
+        valid: npt.NDArray[np.bool_] | None = None,
+        cull: bool = False,
+        samples: str | None = None,
+    ) -> Traced:
+        """As ``trace_points``, for somebody who wants states alone: no stages and counters if that is faster. Points in
+        C order."""
+        triangles = scene.occluders.triangle_count
+        if valid is not None or not self._asks_few or not are_few(len(points), triangles, lights):
+            return self.trace_points(scene, points, lights, bias, valid, cull, samples=samples)
+        self.set_number(samples)
+
+        def ask(inside: _Inside) -> npt.NDArray[np.uint8]:
+            world = inside.scene
+            world.sync(scene)
+            if inside.few is None:
+                inside.few = FewPairs(world.vertices, world.triangles)
+            states = inside.few.ask(points, world.triangle_count, lights, bias, cull)
+            self._seat.loaded.add(_FEW)
+            return states
+
+        return Traced(self._whole(ask, (_FEW,)), {}, {})
 
     def ask_cones(self, scene: Scene, question: Callable[[Cones], _Result], ignored: Collection[str] = ()) -> _Result:
         """What ``question`` finds out of what answers questions about cones, over the scene as it is, in which meshes

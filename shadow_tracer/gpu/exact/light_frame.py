@@ -80,11 +80,11 @@ def make_anchor(center: FloatArray | Sequence[float], radius: float, previous: A
 def make_light_frame(light: HardLight, anchor: Anchor, number: int = 0) -> LightFrame:
     """Frame of ``light``, the ``number``-th of its frame, over the samples at ``anchor``. Not to be changed: a light
     that stays where it is gets the same one again."""
-    return _make(*_look(light), anchor, number)
+    return _make(*look(light), anchor, number)
 
 
 @lru_cache(maxsize=256)
-def _look(light: HardLight) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:
+def look(light: HardLight) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:
     """What frames of a light depend on; lights are not changed either."""
     axis, cosine = light.cone
     return tuple(light.homogeneous.tolist()), tuple(axis.tolist()), cosine, light.range

@@ -57,18 +57,28 @@ def _box_of_all(x: FloatArray, y: FloatArray, z: FloatArray) -> _Box | None:
 def _box_of_seen(x: FloatArray, y: FloatArray, z: FloatArray) -> _Box | None:
     """Low and high corner of the samples in the camera's frame, from rays at z = 1 that broadcast; those are left out
     that are much farther than others, that lie farther than any sample may, or have no ray. None if there are none."""
-    seen = (z > 0.0) & (z < np.inf)
-    count = int(np.count_nonzero(seen))
+    seen = ((z > 0.0) & (z < np.inf)).reshape(-1).nonzero()[0]
+    count = len(seen)
     if count == 0:
         return None
+    depths = z.reshape(-1).take(seen)
     # A few samples at the end of the world must not make all others small: float32 could not tell them apart. A
     # background is no outlier: it has many.
     last = -(-49 * (count - 1) // 50)  # 98 in a hundred are no farther
-    seen &= z <= _FARTHEST * float(np.partition(z[seen], last)[last])
-    z = np.where(seen, z, 0.0)  # nothing times infinity
-    local = np.stack([(x * z)[seen], (y * z)[seen], z[seen]])
-    local = local[:, (np.abs(local) <= LARGEST).all(axis=0)]
-    return (local.min(axis=1).tolist(), local.max(axis=1).tolist()) if local.size else None
+    in_order = depths.copy()
+    in_order.partition(last)
+    farthest = _FARTHEST * float(in_order[last])
+    if not _most(depths) <= farthest:
+        near = (depths <= farthest).nonzero()[0]
+        seen, depths = seen.take(near), depths.take(near)
+    local = [np.broadcast_to(way, z.shape).take(seen) * depths for way in (x, y)]
+    local.append(depths)
+    low, high = ([found(values) for values in local] for found in (_least, _most))
+    if -LARGEST <= min(low) and max(high) <= LARGEST and not math.isnan(sum(low)):
+        return low, high
+    some = np.stack(local)  # a NaN is in no range
+    some = some[:, (np.abs(some) <= LARGEST).all(axis=0)]
+    return (some.min(axis=1).tolist(), some.max(axis=1).tolist()) if some.size else None
 
 
 def points_anchor(
