@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadow_tracer.scene.checks import FloatArray
+from shadow_tracer.scene.depth_mesh import depth_range
 from shadow_tracer.scene.parts import DepthSurface
 
 STEPS = 65535.0
@@ -70,12 +71,9 @@ def depth_chart(surface: DepthSurface) -> Chart | None:
     """The chart of a depth image's surface, without asking for its vertices; None if it has none: no pixel is measured,
     or the camera has a table of rays."""
     camera, step = surface.camera, surface.step
-    picked = surface.image[::step, ::step]
-    known = picked[(picked > 0) & (picked < np.inf)]
-    if camera.rays is not None or min(surface.corners) < 2 or not known.size:
+    near, far = depth_range(surface.image, step)
+    if camera.rays is not None or min(surface.corners) < 2 or not far > 0.0:
         return None
-    scale = 1000.0 if known.dtype == np.uint16 else 1.0
-    near, far = float(known.min()) / scale, float(known.max()) / scale
     low, high = surface.box()
     low[2] = near
     center = 0.5 * low + 0.5 * high

@@ -70,13 +70,21 @@ def depth_cells(image: npt.NDArray[Any], camera: Camera, step: int, max_jump: fl
 
 def depth_box(image: npt.NDArray[Any], camera: Camera, step: int) -> tuple[FloatArray, FloatArray]:
     """Two corners of a box in the optical frame that holds all vertices of :func:`depth_mesh` [m]."""
-    picked = image[::step, ::step]
-    far = float(np.max(picked, initial=0, where=(picked > 0) & (picked < np.inf)))
-    far = far / 1000.0 if image.dtype == np.uint16 else far
+    _, far = depth_range(image, step)
     sides = [(float(np.nanmin(way)) * far, float(np.nanmax(way)) * far) for way in corner_ways(camera, step)]
     low = np.array([max(min(least, 0.0), -LARGEST) for least, _ in sides] + [0.0])
     high = np.array([min(max(most, 0.0), LARGEST) for _, most in sides] + [far])
     return low, high
+
+
+def depth_range(image: npt.NDArray[Any], step: int) -> tuple[float, float]:
+    """The least and the largest depth of the corners that are measured [m]; (infinity, 0) if there are none."""
+    picked = image[::step, ::step]
+    if picked.dtype == np.uint16:
+        near = int(np.subtract(picked, 1).min(initial=0xFFFF)) + 1  # what has no depth comes last: 0 - 1 is 65535
+        return (near / 1000.0, int(picked.max()) / 1000.0) if near < 0x10000 else (np.inf, 0.0)
+    there = (picked > 0) & (picked < np.inf)
+    return float(np.min(picked, initial=np.inf, where=there)), float(np.max(picked, initial=0, where=there))
 
 
 def corner_ways(camera: Camera, step: int) -> tuple[FloatArray, FloatArray]:

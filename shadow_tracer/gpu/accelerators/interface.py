@@ -170,7 +170,7 @@ class Accelerator:
 
     def takes_rays(self, light: LightFrame) -> bool:
         """Whether ``show`` looks at the rays of a light for *any hit*, with the scene as it was followed last. Those
-        that it does not look at are not made for a light at infinity, which shines on all samples."""
+        that it does not look at are not made."""
         return True
 
     def more(self, rays: Rays) -> Iterator[None]:

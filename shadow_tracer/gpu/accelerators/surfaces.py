@@ -48,8 +48,9 @@ class Surfaces(Accelerator):
         self._rest.aim(lights)
 
     def takes_rays(self, light: LightFrame) -> bool:
-        """Not of a light at infinity where there is nothing but surfaces: all samples have one."""
-        return light.light[3] != 0.0 or self._rest.triangle_count > 0
+        """Not where there is nothing but surfaces: of a sample whose bias is not less than its distance from the light,
+        which has no ray, the exact decision says no as well."""
+        return self._rest.triangle_count > 0
 
     def show(self, rays: Rays, query: Query) -> None:
         """Send the rays of the light through the meshes, and those that are left through the surfaces."""

@@ -19,6 +19,19 @@ struct WIDE(Walker) {
                 whole = base + SIDE * width <= count;
             }
         }
+        // At most `most` of them, of which there are some; returns how many.
+        inline int some(int* numbers, int most) {
+            if (!whole || within % (SIDE * SIDE) || within + SIDE * SIDE > tiled || most < SIDE * SIDE) {
+                numbers[0] = next();
+                return 1;
+            }
+            const int begin = base + within / SIDE;
+            for (int j = 0; j < SIDE * SIDE; ++j)
+                numbers[j] = begin + j / SIDE * width + j % SIDE;
+            within += SIDE * SIDE - 1;
+            next();
+            return SIDE * SIDE;
+        }
         inline int next() {
             const int k = within++;
             int number = base + k;
@@ -40,16 +53,21 @@ struct WIDE(Walker) {
 #if LANES > 1
         Order order(first, asked.width, query.count());
 #endif
-        for (int ray = first; ray < last; ++ray) {
+        for (int ray = first; ray < last;) {
 #if LANES > 1
-            query.take(order.next());
+            int numbers[Order::SIDE * Order::SIDE];
+            const int count = order.some(numbers, last - ray);
 #else
-            query.take(ray);
+            const int numbers[1] = { ray }, count = 1;
 #endif
-            if (query.taken && (query.full() || ray + 1 == last)) {
-                query.begin();
-                WIDE(Walk)::walk(structure, query);
-                query.end();
+            ray += count;
+            for (int j = 0; j < count; ++j) {
+                query.take(numbers[j]);
+                if (query.taken && (query.full() || (ray == last && j + 1 == count))) {
+                    query.begin();
+                    WIDE(Walk)::walk(structure, query);
+                    query.end();
+                }
             }
         }
         query.report(row);

@@ -20,7 +20,7 @@ from shadow_tracer.gpu.samples.sample_set import SampleSet
 # Samples per thread of the vectorised loop.
 _BLOCK = 256
 native.constants(PROJECT_BLOCK=_BLOCK)
-_SHONE_ON = 4096  # samples per thread where no rays are made
+_WITHOUT_RAYS = 4096  # samples per thread where no rays are made
 
 
 @native.func_native("samples/project.h", calls="Project::one")
@@ -84,39 +84,44 @@ def project_blocks(
     project_block(wp.tid() * _BLOCK, count, light[0], counted, RAYS, samples, valid, rays, states, counters)
 
 
-@native.func_native("samples/sun_states.h", calls="SunStates::some")
-def states_in_sun(
+@native.func_native("samples/states.h", calls="States::some")
+def states_of_some(
     first: int,
     last: int,
+    frame: LightFrame,
     counted: int,
     column: int,
+    samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
-    """States of some samples before tracing, for a light that shines on all of them; each that is valid counts as a
-    ray, unless they are ``counted``."""
+    """States of some samples before tracing; those with a ray are added up, unless they are ``counted``."""
     ...
 
 
 @wp.kernel(enable_backward=False)
-def shine(
+def find_states(
     count: int,
     block: int,
+    light: wp.array(dtype=LightFrame),
     counted: int,
+    samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
     states: wp.array(dtype=wp.uint8),
     counters: wp.array2d(dtype=wp.int64),
 ):
     first = wp.tid() * block
-    states_in_sun(first, wp.min(first + block, count), counted, RAYS, valid, states, counters)
+    last = wp.min(first + block, count)
+    states_of_some(first, last, light[0], counted, RAYS, samples, valid, states, counters)
 
 
 def project_without_rays(buffers: SampleSet, light: int, counted: bool) -> None:
-    """What ``project`` makes for a light at infinity, but for the rays."""
-    block = _SHONE_ON if forms.wide(buffers.device) else 1
-    inputs = [buffers.count, block, int(counted), buffers.valid, buffers.states_of(light), buffers.counters]
-    wp.launch(shine, dim=-(-buffers.count // block), inputs=inputs, device=buffers.device)
+    """What ``project`` makes, but for the rays."""
+    block = _WITHOUT_RAYS if forms.wide(buffers.device) else 1
+    inputs = [buffers.count, block, buffers.light_frame_of[light], int(counted), buffers.positions, buffers.valid]
+    inputs += [buffers.states_of(light), buffers.counters]
+    wp.launch(find_states, dim=-(-buffers.count // block), inputs=inputs, device=buffers.device)
 
 
 def project(buffers: SampleSet, light: int, place: int, counted: bool = False) -> None:

@@ -12,16 +12,18 @@ struct Quad {
         int possible = 3; // as bits
         if (wp::isfinite(a) && wp::isfinite(b) && wp::isfinite(c) && wp::isfinite(d)) {
             typedef InPlace1::Side Side;
-            const wp::vec4d& at = query.sample();
-            const wp::vec3d p(at[0], at[1], at[2]), way = query.way();
-            if (InPlace1::same(p, a) || InPlace1::same(p, d)) { // corners of both
+            typedef InPlace1::Point Point;
+            const Point p = InPlace1::point(query.sample()), way = query.way(p);
+            const Point at_a = InPlace1::point(a), at_b = InPlace1::point(b), at_c = InPlace1::point(c),
+                        at_d = InPlace1::point(d);
+            if (Point::same(p, at_a) | Point::same(p, at_d)) { // corners of both
                 query.tests += 2;
                 return false;
             }
-            const Side across = Side::of(p, way, d, a);
-            if (Side::beside(Side::of(p, way, a, c), Side::of(p, way, c, d), across))
+            const Side across = Side::of(p, way, at_d, at_a);
+            if (Side::beside(Side::of(p, way, at_a, at_c), Side::of(p, way, at_c, at_d), across))
                 possible -= 1;
-            if (Side::beside(across.back(), Side::of(p, way, d, b), Side::of(p, way, b, a)))
+            if (Side::beside(across.back(), Side::of(p, way, at_d, at_b), Side::of(p, way, at_b, at_a)))
                 possible -= 2;
             query.tests += 2 - (possible & 1) - (possible >> 1);
         }

@@ -30,6 +30,16 @@ struct WIDE(AtChart) {
 #endif
         return ray.meets & some;
     }
+#if LANES > 1
+    // Lets the memory that `show` will read come nearer.
+    static inline void fetch(const DeviceChart& chart, int row, int column, const WIDE(Query) & query) {
+        const auto& asked = query.asked;
+        __builtin_prefetch(asked.triangles.data + chart.first_triangle + 2 * (row * (chart.columns - 1) + column));
+        const wp::vec3d* corner = asked.vertices.data + chart.first_vertex + (size_t)row * chart.columns + column;
+        __builtin_prefetch(corner);
+        __builtin_prefetch(corner + chart.columns);
+    }
+#endif
     // Shows the two triangles of a quad; true if one hides the ray.
     static inline bool show(const DeviceChart& chart, int row, int column, WIDE(Query) & query) {
         const int first = chart.first_triangle + 2 * (row * (chart.columns - 1) + column);

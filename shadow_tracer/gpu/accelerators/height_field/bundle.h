@@ -3,8 +3,9 @@
 // Some rays in a chart as one: where the first and the last of them are at any part of their segments; see
 // height_field.py.
 struct ChartBundle {
-    // Bounds of what boxes' low and high sides are compared with, and of the spans, with their reciprocals.
-    float above[3], below[3], most[3], least[3], of_most[3], of_least[3];
+    // Bounds of what boxes' low and high sides are compared with, and of the spans, with their reciprocals, and the
+    // first times these.
+    float above[3], below[3], most[3], least[3], of_most[3], of_least[3], first[3], last[3];
     int flip; // turns the numbers of a node's children so that they come in the order of the rays
 
     static inline float largest(Real16 x) {
@@ -17,8 +18,8 @@ struct ChartBundle {
         const Mask16 some = Lanes16::mask(lanes);
         const Real16 none = -(float)HUGE_VAL;
         for (int k = 0; k < 3; ++k) {
-            above[k] = largest(some ? ray.above[k] : none);
-            below[k] = -largest(some ? -ray.below[k] : none);
+            above[k] = largest(some ? ray.begin[k] : none) + ray.pad[k];
+            below[k] = -largest(some ? -ray.begin[k] : none) - ray.pad[k];
             most[k] = largest(some ? ray.span[k] : none);
             least[k] = -largest(some ? -ray.span[k] : none);
             // No nearer to zero than what has a reciprocal, and no narrower.
@@ -26,6 +27,8 @@ struct ChartBundle {
             least[k] = fabsf(least[k]) < 1.0e-20f ? -1.0e-20f : least[k];
             of_most[k] = 1.0f / most[k];
             of_least[k] = 1.0f / least[k];
+            first[k] = above[k] * of_most[k];
+            last[k] = below[k] * of_least[k];
         }
         flip = (most[0] + least[0] < 0.0f ? 3 : 0) | (most[1] + least[1] < 0.0f ? 12 : 0);
     }
@@ -35,7 +38,8 @@ struct ChartBundle {
         return across > down ? across : down;
     }
     inline void enter(int k, Real16 low, Real16 high, Real16& in, Real16& out) const {
-        const Real16 one = (low - above[k]) * of_most[k], two = (high - below[k]) * of_least[k];
+        CONTRACTED
+        const Real16 one = low * of_most[k] - first[k], two = high * of_least[k] - last[k];
         if (most[k] > 0.0f)
             in = in > one ? in : one;
         else

@@ -18,41 +18,53 @@ relative to: along s and t the number of the last row or column, whichever is la
 magnitudes of the terms of each row, for the point and for all that lies among the positions, in units of E and of the
 least D. A ray for which that is above 2^20 is shown all quads (``TOO_FAR``). Below, a row is within 6 * 2^-53 * 2^20 <
 2^-30 of exact in these units, for the sample, for every position, and for every point of the ray among them, which is
-the sample's row and a multiple of the direction's. With D at least ``nearest``, s, t and h are then within 2^-29 E.
+the sample's row and a multiple of the way's. The way's row is the light's less the sample's, and what is taken of both
+lies among the positions: so that adds no more than 2^-28. A position, whose D is at least ``nearest``, has s, t and h
+within 2^-29 E, and a point of the ray, where D is at least half of that, within 2^-25 E.
 
 *The bias.* What hides a sample lies at least as far along its ray as the bias: of anything nearer than 1 - 2e-9 of it
 the exact decision says no (``exact/decision.h``: the distances that it compares are right to 1e-9 each, the rest to a
-few 2^-53). The length of the way to the light, and the division, round by less than 2^-50 more. So a ray begins at 1 -
-1e-8 of its bias (``ChartRay::begins``), which spares it what lies around its sample. Where squares of a way are lost,
-below 1e-200, it begins at the sample. Of a bias beyond the light nothing is left, and the decision says no as well.
+few 2^-53). So a ray begins at 1 - 2^-12 of its bias (``ChartRay::begins``), which spares it what lies around its
+sample. That is computed in float32, with a reciprocal that is right to 2^-14, and all else to a few u: together less
+than 2^-13. Where the square of the way's length is not between 1e-30 and 1e30, it begins at the sample. Of a bias
+beyond the light nothing is left, and the decision says no as well: so rays need not be known, but for their number.
 
 *Clipping.* The part of a ray that can meet a triangle of the chart lies within the rows, columns and heights,
-``beside`` in hand, and each of these is a linear inequality in the parameter of the ray. They are moved outwards by
-2^-18 E, which is much more than 2^-29 and what the division rounds: no part of that is cut off. What is left has D >
-0: a point with s and t in a range that is not empty has D >= 0, and heights up to 65535 begin at ``nearest``. A ray
-that never ends in the chart does not exist; one whose end is not finite is ``TOO_FAR``.
+``beside`` in hand, and each of these is a linear inequality in the parameter p of the ray: I + p G >= 0, where I is how
+far inside a plane it begins. The planes are moved outwards by 2^-18 E, which at a point that can meet something, whose
+D is at least ``nearest``, is much more than what float64 rounds. Of what is computed in float32 from there, I is off by
+6 u of (abs(x) + E abs(D)), and G by 5 u of the same of the way; ``ChartRay::clip`` adds 16 u to I, and takes G up to 8
+u higher or lower. So at all p that count the sum of I and p times the highest G is not negative: if I is not, p is at
+most I over what is left of -G, and else at least -I over G, if that grows at all. Two reciprocals are right to 2^-14
+each: the ends are moved outwards by 2^-12. From where a ray comes to the chart it is clipped once more, as 2^-12 of a
+long way is long: so it begins no more than E / 16 outside. A ray whose I and G float32 does not hold, as sizes in the
+chart or the way to a sun are far from all that is usual, or one without an end in the chart, is ``TOO_FAR``. What is
+left may begin or end a little in front of all positions, as an end has been moved by a part of the way: there it ends
+where D is half of ``nearest`` (``ChartRay::in_front``), and no triangle reaches there. So D > 0 all along it.
 
-*Down the nodes.* As in ``segment.py`` the segment's begin and span are rounded to float32, within 1 u E and 2 u E; the
-begin is moved by the padding (1 u E), a plane of a box is subtracted from it, and the difference divided, by way of the
-reciprocal: three roundings of at most 2 u E each. So a box is found where the ray passes by closer than 10 u E, of 32 u
-E that it is padded with: 2^-19 E, and ``beside`` in s and t. Heights are rounded outwards to whole steps, after they
-have been moved by 2^-6 of one (``ROUNDED``): float32 heights are off by 2^-9 steps, and 2^-13 from what float64 rounds.
-A span below 1e-20 is taken for 1e-20, which moves a point of the ray by that. Beyond the segment's end there is 1e-4 of
-it more. An empty box has a least height above its largest one.
+*Down the nodes.* As in ``segment.py`` the segment's begin b and span m are rounded to float32, within 1 u E and 2 u E.
+Where it comes to the middle c of a box is c/m - b/m, with the reciprocal of m (1 u of both, 2 u E), b/m rounded (1 u
+E), and the difference (2 u E, or 3 u E where product and difference round apart); half of the box's size, at most E /
+2, and the padding are multiplied with the reciprocal (3 u of them) and subtracted or added (2 u E): altogether less
+than 11 u E, and with what begin and span are off less than 16 u E, of 32 u E that boxes are padded with: 2^-19 E, and
+``beside`` in s and t. Heights are rounded outwards to whole steps, after they have been moved by 2^-6 of one
+(``ROUNDED``): float32 heights are off by 2^-9 steps, and 2^-13 from what float64 rounds. A span below 1e-20 is taken
+for 1e-20, which moves a point of the ray by that. Beyond the segment's end there is 1e-4 of it more. An empty box has a
+least height above its largest one.
 
 *Sixteen at a time.* On the CPU, tiles of four by four pixels, or sixteen points, go down the nodes as a bundle
 (``bundle.h``): where their rays are at a part p of their segments lies, along each axis, between b + p m and B + p M,
 with the least and the largest begins b, B and spans m, M. Say a ray of begin c and span n, both as rounded, meets a box
-from l to h at p, but for e < 10 u E, so that c + p n >= l - e. With B >= c + 32 u E, but for 1 u E, and M >= n it is p
-M >= l - B + 21 u E. The bundle takes (l - B)/M for where it gets past that side, and the three roundings of at most 2 u
-E each are less than 21 u E, whatever n is: so p lies behind that, or, where M < 0, before it. At the other side it is
-the same with b, h and m. All sides are compared with the same p, which is within what is left of 0 to 1.0001. A bound
-of spans within 1e-20 of zero becomes the wider one of 1e-20. Each quad that the bundle meets is then compared with the
-rays one by one, as above. Rays that lie more than 64 cells apart are bundles of one.
+from l to h at p, but for e < 16 u E, so that c + p n >= l - e. With B >= c + 32 u E, but for 1 u E, and M >= n it is p
+M >= l - B + 15 u E. The bundle takes l/M - B/M for where it gets past that side, and what that rounds, reciprocal, both
+products and the difference, is less than 8 u E, whatever n is: so p lies behind that, or, where M < 0, before it. At
+the other side it is the same with b, h and m. All sides are compared with the same p, which is within what is left of 0
+to 1.0001. A bound of spans within 1e-20 of zero becomes the wider one of 1e-20. Each quad that the bundle meets is then
+compared with the rays one by one, as above. Rays that lie more than 64 cells apart are bundles of one.
 
 Memory: a quad costs 4.3 bytes in nodes and a position 4 bytes of height, beside 24 bytes of coordinates and, for each
-of two triangles, 12 bytes of numbers: 56 bytes a cell, and as many on the host. For a sun that is swept there are
-20.25 bytes a cell more. No records are made.
+of two triangles, 12 bytes of numbers: 56 bytes a cell, and as many on the host. For a sun that is swept there are 20.25
+bytes a cell more. No records are made.
 """
 
 from __future__ import annotations

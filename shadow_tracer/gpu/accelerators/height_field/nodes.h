@@ -38,12 +38,55 @@ struct Nodes {
             nodes.data[16 * (size_t)node + k] = pack(low, high);
         }
     }
+#if !defined(__CUDA_ARCH__)
+    typedef float Four __attribute__((ext_vector_type(4), aligned(4)));
+    typedef int Whole __attribute__((ext_vector_type(4), aligned(4)));
+
+    static inline Four load(const float* from) { return *(const Four*)from; }
+    static inline Four smaller(Four x, Four y) { return x < y ? x : y; }
+    static inline Four larger(Four x, Four y) { return x > y ? x : y; }
+    // The node over four by four quads that have all their triangles, and all corners a height; false if they do not.
+    static inline bool of_whole(const float* from, int columns, const wp::vec3i* triangle, wp::uint32* node) {
+        int gaps = 0;
+        for (int r = 0; r < SIDE; ++r)
+            for (int k = 0; k < 2 * SIDE; ++k)
+                gaps |= triangle[2 * (size_t)r * (columns - 1) + k][0] == GAP_VERTEX;
+        if (gaps)
+            return false;
+        Four low[SIDE + 1], high[SIDE + 1], sum = 0.0f;
+        for (int r = 0; r <= SIDE; ++r) {
+            const Four a = load(from + (size_t)r * columns), b = load(from + (size_t)r * columns + 1);
+            low[r] = smaller(a, b);
+            high[r] = larger(a, b);
+            sum += a + b;
+        }
+        const float all = sum.x + sum.y + sum.z + sum.w;
+        if (!(all == all))
+            return false;
+        for (int r = 0; r < SIDE; ++r) {
+            const Four none = 0.0f, most = (float)CHART_STEPS;
+            const Four least = smaller(low[r], low[r + 1]), last = larger(high[r], high[r + 1]);
+            const Four down = larger(__builtin_elementwise_floor(least - (float)CHART_ROUNDED), none);
+            const Four up = smaller(__builtin_elementwise_ceil(last + (float)CHART_ROUNDED), most);
+            *(Whole*)(node + SIDE * r) =
+                __builtin_convertvector(down, Whole) | __builtin_convertvector(up, Whole) << 16;
+        }
+        return true;
+    }
+#endif
     // As `of_quads`, over the triangles of the quads; `first`, `vertex` and `triangle` are those of the chart. Returns
     // whether a triangle has a corner that has no height.
     static inline int of_triangles(int first, int vertex, int triangle, int rows, int columns, int row, int column,
                                    int node, const wp::array_t<float>& heights, const wp::array_t<wp::vec3i>& triangles,
                                    const wp::array_t<wp::uint32>& nodes) {
         const float* from = heights.data + first;
+#if !defined(__CUDA_ARCH__)
+        const size_t quad = (size_t)SIDE * row * (columns - 1) + SIDE * column;
+        if (SIDE * (row + 1) < rows && SIDE * (column + 1) < columns
+            && of_whole(from + (size_t)SIDE * row * columns + SIDE * column, columns,
+                        triangles.data + triangle + 2 * quad, nodes.data + 16 * (size_t)node))
+            return 0;
+#endif
         int lost = 0;
         for (int k = 0; k < SIDE * SIDE; ++k) {
             const int r = SIDE * row + k / SIDE, c = SIDE * column + k % SIDE;

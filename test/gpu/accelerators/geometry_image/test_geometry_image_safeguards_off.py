@@ -33,7 +33,7 @@ _MUTANTS: dict[str, tuple[str, list[Change]]] = {
     "one triangle of a quad": ("terrain", [(_QUAD, "k < 2", "k < 1")]),
     "edges that float64 is sure of": (
         "no_cracks or rows_columns",
-        [("visibility/in_place.h", "MASK_PAD * Sides::Plane::sum(way) * plane.size", "0.0")],
+        [("visibility/signs.h", "MASK_PAD * way.sum() * plane.size", "0.0")],
     ),
     "the last children are left out": ("terrain or sizes", [(_NODES, "child < count", "child + 1 < count")]),
     "empty nodes are in their parents": (

@@ -78,6 +78,54 @@ def test_depths_that_are_nothing_beside_the_place_of_the_camera(any_device: str,
     agree(any_device, lambda scene: scene.put_depth("depth", depth, camera, 1, 1e6), points, lights)
 
 
+def test_something_very_near(any_device: str) -> None:
+    """A speck before the lens, of a depth that is next to nothing beside all others: rays to lamps in the camera,
+    behind it, and from behind it to lamps in front; samples on the surfaces and behind them."""
+    rng = np.random.default_rng(71)
+    depth = np.full((33, 40), 20.0, np.float32)
+    for number, z in enumerate(rng.choice([0.3, 0.5, 1.0, 2.0], 30)):
+        row, column = rng.integers(0, 28, 2)
+        depth[row : row + 5, column : column + 2 + number % 3] = z
+    depth[10:13, 20:24] = 0.003
+    camera = Camera(40, 33, 40.0, 40.0, 19.5, 16.0)
+
+    def show(scene: Any) -> None:
+        scene.put_depth("depth", depth, camera, 1, 0.1)
+
+    known = surfaces.tracer(any_device, "brute_force")
+    show(known.scene)
+    corners = known.scene["depth"].vertices
+    corners = corners[corners[:, 2] > 0.1]
+    points = np.concatenate([corners, 1.3 * corners, 15.0 * corners, rng.normal(size=(100, 3)) * (1.0, 1.0, 3.0)])
+    places = [
+        (0.0, 0.0, 0.0),
+        (1e-4, 0.0, 0.0),
+        (0.0, 0.0, -0.1),
+        (0.1, 0.0, -2.0),
+        (-3.0, 1.0, -0.5),
+        (0.5, -0.2, 0.0),
+        (0.3, 0.2, 7.0),
+        (0.0, 0.0, 60.0),
+    ]
+    lights: list[Any] = [PointLight(f"lamp {k}", each) for k, each in enumerate(places)]
+    lights += [DirectionalLight("sun", (0.1, 0.2, 1.0)), DirectionalLight("from the front", (0.1, 0.2, -1.0))]
+    states, _, tracer = agree(any_device, show, points, lights, 0.02)
+    assert probe.charts(tracer)[0] == ["depth"] and 0.05 < (states == 1).mean() < 0.9
+
+
+@pytest.mark.parametrize("scale", [1e-36, 1e-18, 1e18, 1e34])
+def test_sizes_of_all_kinds(any_device: str, scale: float) -> None:
+    rng = np.random.default_rng(72)
+    depth, camera = _image(rng, 14, 16, scale), Camera(16, 14, 16.0, 16.0, 7.5, 6.5)
+    points = scale * np.array([0.0, 0.0, 2.0]) + scale * rng.normal(size=(300, 3))
+    lights = _lights(scale * np.array([0.0, 0.0, 2.0]), 2.0 * scale)
+    for bias in (0.0, 0.02 * scale):
+        states, _, _ = agree(
+            any_device, lambda scene: scene.put_depth("depth", depth, camera, 1, 0.2), points, lights, bias
+        )
+        assert 0.02 < (states == 1).mean() < 0.9
+
+
 def test_a_triangle_whose_corner_lies_at_the_camera(any_device: str) -> None:
     """A depth that is lost beside the place of the camera, among others that are not: rays through what the triangle
     has there, where its other corners are not."""

@@ -200,6 +200,26 @@ def test_samples_far_away(any_device: str) -> None:
         assert (states == 1).any()
 
 
+def test_rays_that_touch_peaks_from_far_away(any_device: str) -> None:
+    """From as far away as rays are followed through a chart at all, so that a small part of their ways is long."""
+    rng = np.random.default_rng(12)
+    z = np.zeros((41, 41))
+    peaks = rng.permutation(1681)[:30]
+    z.reshape(-1)[peaks] = rng.integers(10, 41, 30)
+    field = HeightField(z, 1.0)
+    tips = field.positions().reshape(-1, 3)[peaks]
+    hidden = []
+    for tip, (x, y) in zip(tips[:10], rng.normal(size=(10, 2)), strict=True):
+        way = np.array([x, y, 0.1]) / np.sqrt(x * x + y * y + 0.01)
+        lamp = PointLight("lamp", tip - 2.0 * way)
+        lower = np.array([[0.0, 0.0, -1e-6], [0.0, 0.0, -1e-3], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        points = np.concatenate([tip + way * far + lower for far in (1e3, 1e5, 3e6, 8e6, 9e6, 1e7, 1.1e7)])
+        states, counters, _ = agree(any_device, lambda scene: scene.put_surface("ground", field), points, [lamp])
+        hidden.append((states == 1).mean())
+        assert counters["leaf_tests"] < 100 * len(points), "all quads are shown"
+    assert 0.2 < np.mean(hidden) < 1.0
+
+
 def test_a_chart_that_has_lost_its_places_shows_everything(any_device: str) -> None:
     rng = np.random.default_rng(10)
     field = HeightField(surfaces.terrain(rng, 20, 20), 1.0)

@@ -13,7 +13,7 @@ _RAY, _PROFILE, _SWEEP = _ROOM + "chart_ray.h", _ROOM + "profile.h", _ROOM + "sw
 _LOOK = _ROOM + "first_look.h"
 _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
-_EDGES, _IN_PLACE = "test_open_edges.py", "visibility/in_place.h"
+_EDGES, _IN_PLACE, _SIGNS = "test_open_edges.py", "visibility/in_place.h", "visibility/signs.h"
 _PACKETS, _BUNDLE = "test_packets.py", _ROOM + "bundle.h"
 _DEPTH, _BIASED = "test_depth_charts.py", "test_biased_start.py"
 
@@ -23,8 +23,9 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _FIELD,
         "corners_of_boxes or rows_columns or plane",
         [
-            (_RAY, "above[k] = start + pads[k]", "above[k] = start"),
-            (_RAY, "below[k] = start - pads[k]", "below[k] = start"),
+            (_RAY, "(k == 2 ? pad[k] : 0.5f + pad[k]) *", "(k == 2 ? 0.0f : 0.5f) *"),
+            (_BUNDLE, "ray.begin[k] : none) + ray.pad[k];", "ray.begin[k] : none);"),
+            (_BUNDLE, "-ray.begin[k] : none) - ray.pad[k];", "-ray.begin[k] : none);"),
             (_NODES, "floorf(low - (float)CHART_ROUNDED)", "ceilf(low)"),
             (_NODES, "ceilf(high + (float)CHART_ROUNDED)", "floorf(high)"),
         ],
@@ -33,11 +34,15 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _FIELD,
         "beside_their_places",
         [
-            (_RAY, "2.0 * CHART_PADDING * along + beside", "2.0 * CHART_PADDING * along"),
             (
                 _RAY,
-                "const float pad = (float)((CHART_PADDING * along + beside) * 1.0001);",
-                "const float pad = (float)(CHART_PADDING * along);",
+                "(double)(rows > columns ? rows : columns) + beside);",
+                "(double)(rows > columns ? rows : columns));",
+            ),
+            (
+                _RAY,
+                "(double)(rows > columns ? rows : columns) + beside) * 1.0001",
+                "(double)(rows > columns ? rows : columns))",
             ),
         ],
     ),
@@ -45,28 +50,57 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _FIELD,
         "far_away or lost",
         [
-            (_RAY, "beside < 1.0e29 ?", "true ?"),
-            (_RAY, "(Lanes::ALL & ~bits(weight <= 0x1p20)) |", ""),
+            (_RAY, "beside < 1.0e29 &&", "true &&"),
+            (_RAY, "(Lanes::ALL & ~Doubles::bits(weight <= 0x1p20)) |", ""),
         ],
     ),
-    "rays end before the light": (_FIELD, "terrain", [(_RAY, "bounded ? 1.0 : HUGE_VAL", "bounded ? 0.5 : 1.0")]),
+    "rays end before the light": (
+        _FIELD,
+        "terrain",
+        [(_RAY, "bounded ? 1.0f : 0.0f", "bounded ? 2.0f : 1.0f")],
+    ),
     "rays begin behind their bias": (
         _BIASED,
         "at_the_bias",
-        [(_RAY, "0.99999999 * bias", "1.00000001 * bias")],
+        [(_RAY, "Lanes::inverse(root(sum)) * (1.0f - 0x1p-12f)", "Lanes::inverse(root(sum)) * (1.0f + 0x1p-12f)")],
     ),
-    "rays begin far behind their bias": (_BIASED, "biases", [(_RAY, "0.99999999 * bias", "1.1 * bias")]),
+    "rays begin far behind their bias": (
+        _BIASED,
+        "biases",
+        [(_RAY, "Lanes::inverse(root(sum)) * (1.0f - 0x1p-12f)", "Lanes::inverse(root(sum)) * 1.1f")],
+    ),
     "the way to the sun has length one": (
         _BIASED,
         "any_length",
-        [(_RAY, "0.99999999 * bias / root(sum)", "0.99999999 * bias")],
+        [(_RAY, "Lanes::inverse(root(sum)) * (1.0f - 0x1p-12f)", "(1.0f - 0x1p-12f)")],
     ),
+    "rays leave the chart too early": (
+        _FIELD,
+        "corners_of_boxes or sizes or terrain",
+        [(_RAY, "Lanes::inverse(rate) * (1.0f + 0x1p-12f)", "Lanes::inverse(rate) * (1.0f - 0x1p-9f)")],
+    ),
+    "rays enter the chart too late": (
+        _FIELD,
+        "corners_of_boxes or sizes or terrain",
+        [(_RAY, "Lanes::inverse(grows) * (1.0f - 0x1p-12f)", "Lanes::inverse(grows) * (1.0f + 0x1p-9f)")],
+    ),
+    "segments behind the camera": (
+        _DEPTH,
+        "very_near",
+        [(_RAY, "in_front(chart, at, way, from, to);", "(void)least;")],
+    ),
+    "sizes that float32 does not hold": (
+        _DEPTH,
+        "sizes_of_all_kinds",
+        [(_RAY, "chart.nearest > 1.0e-20 && chart.nearest < 1.0e20 && size < 1.0e30", "true")],
+    ),
+    "nodes without their last row": (_DEPTH, "steps", [(_NODES, "larger(high[r], high[r + 1])", "high[r]")]),
     "a bundle begins where its first ray does": (
         _PACKETS,
         "usual_form",
         [
-            (_BUNDLE, "above[k] = largest(some ? ray.above[k] : none);", "above[k] = ray.above[k][0];"),
-            (_BUNDLE, "below[k] = -largest(some ? -ray.below[k] : none);", "below[k] = ray.below[k][0];"),
+            (_BUNDLE, "above[k] = largest(some ? ray.begin[k] : none)", "above[k] = ray.begin[k][0]"),
+            (_BUNDLE, "below[k] = -largest(some ? -ray.begin[k] : none)", "below[k] = ray.begin[k][0]"),
         ],
     ),
     "a bundle goes where its first ray does": (
@@ -112,21 +146,15 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "beside_terrain",
         [("accelerators/surfaces.py", "self._rest.follow(others)", "self._rest.follow([])")],
     ),
-    "meshes aside are shown no rays of suns": (
+    "meshes aside are shown no rays": (
         _FIELD,
         "beside_terrain",
-        [
-            (
-                "accelerators/surfaces.py",
-                "light.light[3] != 0.0 or self._rest.triangle_count > 0",
-                "light.light[3] != 0.0",
-            )
-        ],
+        [("accelerators/surfaces.py", "return self._rest.triangle_count > 0", "return False")],
     ),
     "lamps shine on all samples": (
         _FIELD,
         "beside_terrain or terrain",
-        [("accelerators/surfaces.py", "return light.light[3] != 0.0 or self", "return self")],
+        [("samples/states.h", "frame.light[3] == 0.0 ? sun(", "true ? sun(")],
     ),
     "pairs of meshes named as those of the scene": (
         _FIELD,
@@ -283,22 +311,22 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "a larger bias than there is": (
         _SWEPT,
         "biases",
-        [(_IN_PLACE, "0.99999999 * bias", "2.0 * bias")],
+        [(_SIGNS, "0.99999999 * bias", "2.0 * bias")],
     ),
     "edges that float64 is sure of": (
         _SWEPT,
         "stairs or way_that",
-        [(_IN_PLACE, "MASK_PAD * Sides::Plane::sum(way)", "0.0")],
+        [(_SIGNS, "MASK_PAD * way.sum()", "0.0")],
     ),
     "an edge is left open": (
         _EDGES,
         "ridges and usual_form and height_field",
-        [(_IN_PLACE, "if ((asking >> lane & 1) && open[lane].triangle >= 0)", "if (false)")],
+        [(_IN_PLACE, "while ((asking >> lane & 1) && opens[lane] > 0)", "while (false)")],
     ),
     "any two edges are one": (
         _EDGES,
         "ridges and usual_form and height_field",
-        [(_IN_PLACE, "if (left.from != to || left.to != from)", "if (false)")],
+        [(_IN_PLACE, "if (left[k].from == now.to && left[k].to == now.from)", "if (true)")],
     ),
     "edges have no direction": (
         _EDGES,
@@ -306,30 +334,35 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         [
             (
                 _IN_PLACE,
-                "if (left.from != to || left.to != from)",
-                "if ((left.from != to || left.to != from) && (left.from != from || left.to != to))",
+                "if (left[k].from == now.to && left[k].to == now.from)",
+                "if (left[k].from + left[k].to == now.to + now.from)",
             )
         ],
+    ),
+    "more open edges than there is room for": (
+        _EDGES,
+        "many_open and usual_form and height_field",
+        [(_IN_PLACE, "decide(left[--opens[lane]].triangle);", "--opens[lane];")],
     ),
     "all triangles are seen from one side": (
         _EDGES,
         "ridges",
-        [(_IN_PLACE, "own.there > 0.0 ? 1.0 : -1.0", "1.0")],
+        [(_IN_PLACE, "turn = own.there > 0.0 ? one : -one", "turn = one")],
     ),
     "an edge that is met is passed": (
         _EDGES,
         "ridges",
-        [(_IN_PLACE, "if (!(turn * side[k].value > side[k].off + IN_PLACE_LEAST))", "if (false)")],
+        [(_SIGNS, "turn * value > off + IN_PLACE_LEAST", "value == value")],
     ),
     "certain whatever the bias": (
         _BIASED,
         "at_the_bias",
-        [(_IN_PLACE, "behind * far(way) >= 1.00000001 * bias * front", "true")],
+        [(_SIGNS, "behind * length >= 1.00000001 * bias * front", "behind == behind")],
     ),
     "certain of front faces": (
         _FIELD,
         "terrain",
-        [(_IN_PLACE, "if (asked.cull != 0 && turn > 0.0)", "if (false)")],
+        [(_IN_PLACE, "if (asked.cull != 0)\n", "if (false)\n")],
     ),
     "a sweep is kept whatever becomes of the surface": (
         _SWEPT,

@@ -119,3 +119,27 @@ def test_edges_at_the_bias(any_device: str, pipeline: str) -> None:
                 )
                 hidden.append((states == 1).mean())
     assert min(hidden) < 0.5 < max(hidden)
+
+
+@_PIPELINES
+def test_many_open_edges(any_device: str, pipeline: str) -> None:
+    """A ray along a border of six walls, which it meets in one of them, and misses by the last bit in the others."""
+    columns, walls = 27, np.arange(2, 26, 4)
+    for met in (-1, *range(6)):
+        positions = np.zeros((3, columns, 3))
+        positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(3.0)[:, None]
+        valid = np.ones((3, columns), bool)
+        for number, column in enumerate(walls):
+            around = slice(column - 1, column + 2)
+            positions[1:, column, 2] = 2.0
+            valid[0, around] = False
+            if number != met:
+                positions[1, around, 1] += 2.0**-52
+        lamp = PointLight("lamp", (200.0, 1.0, 1.0))
+        points = np.array([[-0.5, 1.0, 1.0], [-2.0, 1.0, 1.0]])
+
+        def show(scene: Any, positions: np.ndarray = positions, valid: np.ndarray = valid) -> None:
+            scene.put_surface("walls", positions, valid)
+
+        states, _, _ = agree(any_device, show, points, [lamp], pipeline=pipeline)
+        assert (states == (met >= 0)).all()
