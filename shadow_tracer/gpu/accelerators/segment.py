@@ -27,6 +27,15 @@ wide it is where it enters the box of the scene, b how much wider it gets in a u
 face. What scales with a and b t is less than 1e-5 of it; the rest is 1 u + 4 u + 6 u, of the 27 u E that there are.
 Where b is 1e6 or more, the sample is in the middle of the light, and the pyramid is replaced by the beam.
 
+A shaft (``bvh/shaft.h``) is around the ways from a box of samples, low p to high P, to a box of points, m - e to
+m + e. A point with share s of any of these ways is between p + s (m - e - p) and P + s (m + e - P) along each axis, so
+``lower`` and ``upper`` begin at p and P, and s takes the place of t, up to 1; of a light at infinity they are between
+p + s (m - e) and P + s (m + e), with m and e as above and s without end. Samples are within 2 E of O along each axis,
+and nothing is clipped. Faces lie within E, so ``upper`` rounds by 2 u E, its difference from a face by 3 u E, and the
+slope, its reciprocal and the product of both by 3 u E each, taken as displacements of the face: s times the slope is
+that difference. These are 14 of the 27 u E. p and P are differences from O as a sample alone has them, and e is taken
+1e-5 larger.
+
 A query may find out on the way that nothing matters beyond some length (``query.shortened()``). The segment then ends
 there (``shorten``), or a little behind: the length in units of E, less where the box begins, is off by what clipping
 rounds, which the padding holds, and is taken 1e-4 longer. A point of the exact ray before that length is before the

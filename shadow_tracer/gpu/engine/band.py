@@ -181,6 +181,7 @@ class Band:
         samples, scene, records = self.samples, self.context.scene, self.context.records
         asked = Mask()
         asked.count, asked.points, asked.every = len(points), self._points, every
+        asked.samples, asked.width = samples.count, samples.width
         samples.upload(self._points, points)
         asked.middle, asked.extent, offsets = _bundle(points)
         asked.offsets, asked.beyond = self._offsets, self._beyond

@@ -36,6 +36,14 @@ struct PointMask1 {
             balance = now < LEAST ? LEAST : now > MOST ? MOST : now;
         }
     } spares;
+    // Samples that follow each other in a list, which mostly are close to each other: the walk may know that nothing
+    // hides any point from those up to `end`. Whether it has been worth of late to find out.
+    struct Neighbours {
+        enum { TOGETHER = 16, FEWEST = 4 };
+        int end;
+        bool free;
+        Spares tries;
+    } neighbours;
 #endif
     // To the middle of the light; magnitudes of the way to any point, times the pad; the least and the most length.
     wp::vec3d middle;
@@ -50,6 +58,7 @@ struct PointMask1 {
         : asked(asked), taken(0), hider(-1), open(0), rays(0), tests(0), nodes(0), retested(0), exact(0) {
 #if !defined(__CUDA_ARCH__)
         keeps = 0, spares.balance = 0;
+        neighbours.end = 0, neighbours.free = false, neighbours.tries.balance = 0;
 #endif
     }
     // One in `every`, of an image no columns: numbers are scattered first (the finalizer of MurmurHash3), and the least
@@ -60,7 +69,23 @@ struct PointMask1 {
         mixed = (mixed ^ mixed >> 13) * 0xC2B2AE35u;
         return (wp::uint64)(mixed ^ mixed >> 16) * (wp::uint64)asked.every >> 32 == 0;
     }
+    // Samples in turn: of an image in tiles of four by four pixels of each four rows, so that each is close to those
+    // before it.
+    inline int turn(int number) const {
+        enum { SIDE = 4 };
+        const int width = asked.width, whole = SIDE * width;
+        if (width <= 0 || number / whole * whole + whole > asked.samples)
+            return number;
+        const int base = number / whole * whole, within = number - base, tiled = width / SIDE * SIDE * SIDE;
+        if (within < tiled)
+            return base + (within >> 2 & 3) * width + (within >> 4) * SIDE + (within & 3);
+        const int rest = within - tiled, columns = width % SIDE;
+        return base + rest / columns * width + width - columns + rest % columns;
+    }
     inline void take(int number) {
+#if !defined(__CUDA_ARCH__)
+        number = turn(number);
+#endif
         if (asked.states.data[number] > SHADOWED || !chosen(number))
             return;
         ray[0] = number;
@@ -87,6 +112,26 @@ struct PointMask1 {
 #endif
     }
 #if !defined(__CUDA_ARCH__)
+    // The box around the samples from this one on that ask, up to where those end that are looked at together; how many
+    // they are.
+    inline int around(wp::vec3d& low, wp::vec3d& high) {
+        const int first = ray[0];
+        neighbours.end = first - first % Neighbours::TOGETHER + Neighbours::TOGETHER;
+        low = high =
+            wp::vec3d(asked.positions.data[first][0], asked.positions.data[first][1], asked.positions.data[first][2]);
+        int count = 0;
+        for (int number = first; number < neighbours.end && number < asked.samples; ++number) {
+            if (asked.states.data[number] > SHADOWED)
+                continue;
+            ++count;
+            const wp::vec4d& at = asked.positions.data[number];
+            for (int k = 0; k < 3; ++k) {
+                low[k] = at[k] < low[k] ? at[k] : low[k];
+                high[k] = at[k] > high[k] ? at[k] : high[k];
+            }
+        }
+        return count;
+    }
     inline void know() {
         const wp::vec4d& p = asked.positions.data[ray[0]];
         for (int k = 0; k < asked.count; ++k) {

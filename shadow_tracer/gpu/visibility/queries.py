@@ -82,6 +82,8 @@ class Mask:
     beyond: wp.array(dtype=wp.uint64)  # of each bin along u, then v, those from there on (``exact/mask_range.py``)
     positions: wp.array(dtype=wp.vec4d)  # of samples, with their bias
     states: wp.array(dtype=wp.uint8)  # those that are LIT or SHADOWED ask
+    samples: int  # how many there are
+    width: int  # of the image that they come from; 0 if they are a list of points
     every: int  # and of them one in so many
     seen: wp.array(dtype=wp.uint64)  # the answers: a bit for each point that is seen
     vertices: wp.array(dtype=wp.vec3d)

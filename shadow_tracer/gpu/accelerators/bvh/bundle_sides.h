@@ -6,6 +6,7 @@
 struct BundleSides {
     wp::vec3 upper, lower, upper_inverse, lower_inverse;
 
+    inline BundleSides() {}
     inline BundleSides(const Query1& query, const Segment& segment, const SceneBox& box) {
         if (!Query1::SPREADS)
             return;

@@ -61,6 +61,9 @@ native.constants(BLOCK_BAND=2.0**-17, BLOCK_FLOOR=1e-30)
 # Rays of a bundle are no farther than that from its middle, in units of the scene's extent, and it visits no more nodes
 # and blocks for each of them. The last is how long rays of a packet may be before they are cut.
 native.constants(WIDEST=2.0**-6, PATIENCE=4, LONGEST=1e100)
+# Samples that are looked at together are no farther from the scene's centre, in units of its extent. And what is close
+# to a sample, in parts of its way to the light.
+native.constants(SHAFT_PLACE=2.0, MASK_CLOSE=2.0**-6)
 # Where sixteen triangles are judged in float32: within a third of what was measured where there are 10 to 120 nodes and
 # blocks, and 4 to 70 triangles (BART robots, conference, two recorded rooms; panels of 5 to 20 % of the view).
 _IN_BLOCKS = 50.0, 3.0, 0.5

@@ -1,6 +1,7 @@
 // cpu
 // needs: visibility/mask.h accelerators/segment.h accelerators/bvh/bundle.h@16 exact/mask_filter.h exact/mask_range.h
-// constants: TREE_LANES TREE_NONE BLOCK_ROWS LEVELS
+// needs: accelerators/bvh/shaft.h
+// constants: TREE_LANES TREE_NONE BLOCK_ROWS LEVELS MASK_CLOSE
 // arguments: Tree structure
 // A sample, and all points of a light, through the tree with sixteen children per node.
 struct Walk1 {
@@ -50,6 +51,7 @@ struct Walk1 {
         if (!casting)
             return false;
         const int* members = tree.members.data + TREE_LANES * (size_t)number;
+        __builtin_prefetch(members);
         const float* rows = tree.rows.data + BLOCK_ROWS * TREE_LANES * (size_t)number;
         if (looks)
             filter.judge(rows);
@@ -105,26 +107,50 @@ struct Walk1 {
             ++query.nodes;
             const Real16* bounds = (const Real16*)(tree.bounds.data + 6 * TREE_LANES * (size_t)link);
             const int* children = tree.links.data + TREE_LANES * (size_t)link;
+            __builtin_prefetch(children);
             Bundle16 bundle;
             bundle.enter(bounds, bounds + 3, sides, longest);
             int met = tree.left_out ? bundle.met & tree.casting_nodes.data[link] : bundle.met;
             const bool boxed = ranges && __builtin_popcount(met) >= MANY && query.spares.worth(query.nodes);
             if (boxed)
                 range.boxes(bounds, filter.at, filter.place);
-            const int begin = top;
-            for (int left = boxed ? met & ~range.missed : met; left; left &= left - 1) {
-                const int lane = __builtin_ctz(left), child = children[lane];
-                if (child == TREE_NONE)
-                    continue;
-                points[top] = boxed ? range.points(lane, query.asked.beyond.data) : ~(wp::uint64)0;
-                links[top] = child;
-                top += (points[top] & query.open) != 0;
-            }
+            const int begin = top, may = boxed ? met & ~range.missed : met;
+            // What is close to the sample is asked first: its own surface, if that is turned away from the light.
+            const int close = may & Lanes16::bits(bundle.in < (float)MASK_CLOSE * longest);
+            for (int after = 0; after < 2; ++after)
+                for (int left = after ? close : may & ~close; left; left &= left - 1) {
+                    const int lane = __builtin_ctz(left), child = children[lane];
+                    if (child == TREE_NONE)
+                        continue;
+                    points[top] = boxed ? range.points(lane, query.asked.beyond.data) : ~(wp::uint64)0;
+                    links[top] = child;
+                    top += (points[top] & query.open) != 0;
+                }
             if (boxed)
                 query.spares.learn(__builtin_popcount(met) - (top - begin));
         }
     }
+    // Finds out whether nothing hides any point from the sample and from those after it. Pixels of images mostly lie on
+    // what is in the scene, which is not seen to be beside them by so many at once.
+    static inline bool free(const Tree& tree, Query1& query) {
+        Query1::Neighbours& some = query.neighbours;
+        if (query.ray[0] < some.end)
+            return some.free;
+        if (query.keeps || query.asked.every != 1 || query.asked.width > 0)
+            return false;
+        some.free = false;
+        wp::vec3d low, high;
+        const int count = query.around(low, high);
+        if (count < Query1::Neighbours::FEWEST || !some.tries.worth(some.end / Query1::Neighbours::TOGETHER))
+            return false;
+        Shaft shaft{ tree };
+        some.free = shaft.look(query, low, high) && shaft.empty(query);
+        some.tries.learn(some.free ? count : 0);
+        return some.free;
+    }
     static inline void walk(const Tree& tree, Query1& query) {
+        if (free(tree, query))
+            return;
         Segment segment;
         const int place = segment.place(query, tree.box);
         if (place == Segment::TOO_FAR)

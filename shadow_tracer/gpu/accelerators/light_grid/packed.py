@@ -18,9 +18,9 @@ from shadow_tracer.gpu.visibility.queries import Query
 # 60 bytes each, in the second-level cache or nearly so.
 _RAYS_AT_ONCE = 1 << 16
 # Of 64 lights in turn, in images of a quarter of a million samples (BART robots, Sponza, Sibenik, conference, two
-# recorded rooms): within a fourth of what they took, 0.04 to 0.06 us a ray, but for BART robots, 0.03; and more where
+# recorded rooms): within a fourth of what they took, 0.03 to 0.05 us a ray, but for BART robots, 0.02; and more where
 # samples are the texels of a room.
-_RAY_COSTS = 36.0, 18.0, 35.0
+_RAY_COSTS = 28.0, 13.0, 48.0
 
 
 class PackedGrid(Accelerator):
