@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The suite's figures with a view or a size a line and a method a column, as docs/performance.md shows them.
 
-    python benchmark/suite_tables.py benchmark_output/results.json
+python benchmark/suite_tables.py benchmark_output/results.json
 """
 
 from __future__ import annotations
