@@ -73,7 +73,8 @@ def points_of_row(count: int, samples: wp.array(dtype=wp.vec4d)) -> int:
 
 @wp.kernel(enable_backward=False)
 def find_rows(count: int, samples: wp.array(dtype=wp.vec4d), found: wp.array(dtype=int)):
-    found[0] = points_of_row(count, samples)
+    if count > 0:
+        found[0] = points_of_row(count, samples)
 
 
 def most_pieces(rays: int, lights: int) -> int:
@@ -127,11 +128,15 @@ class PieceBuffers:
         self._shape = (0, 0, 0)
         self._rows = wp.zeros(1, dtype=int, device=device)
         self._row, self._looked = 0, -1  # of the points of that revision
+        self._loaded = False  # whether the kernel that looks for rows is
         self._recorded = False
 
     def _width(self) -> int:
         """Of the image that the samples are of, or seem to be; 0 if of none, below zero if they are in no order."""
         samples = self._samples
+        if not self._loaded:  # by the first frame, whatever asks: by a later one several bands might load it at once
+            self._loaded = True
+            self._launch(find_rows, (0,), lambda: (1, [0, samples.positions, self._rows]))
         if samples.width or self._recorded:
             return samples.width
         if self._looked != samples.revision:
