@@ -55,7 +55,7 @@ def lights(settings: Settings, clock: Clock) -> Rows:
         for count in settings.lights:
             if clock.allows(f"lights: {count}", expected * (count / last) ** 0.5):
                 begin = clock.spent
-                rows += _measured(Case(view, _FRAMES, around(view, count)), settings, _roomy(view))
+                rows += _measured(Case(view, _FRAMES, around(view, count)), settings, _roomy(view, count))
                 expected, last = clock.spent - begin, count
     return _with_growth(rows, "lights")
 
@@ -77,11 +77,12 @@ def around(view: View, count: int) -> list[Light]:
     return [PointLight(f"lamp {k}", tuple(position)) for k, position in enumerate([first, *others])]
 
 
-def _roomy(view: View) -> Bounds:
+def _roomy(view: View, lights: int) -> Bounds:
     default, pixels = Bounds(), view.camera.width * view.camera.height
     needed = {
         "max_triangles": max(default.max_triangles, len(view.triangles)),
         "max_rays": max(default.max_rays, pixels),
+        "max_lights": max(default.max_lights, lights),
     }
     return replace(default, **needed)
 

@@ -23,7 +23,7 @@ from scenes import View, procedural_view, views
 from stolen import stolen
 from suite_settings import Clock, Settings
 
-from shadow_tracer import available_pipelines
+from shadow_tracer import Bounds, available_pipelines
 
 _ROOT = Path(__file__).resolve().parents[2]
 _VIEW = "stadium/pot/inside"
@@ -348,3 +348,10 @@ def test_recordings_are_frames_of_their_own(sequence: str) -> None:
     assert 0.05 < case.in_shadow < 0.95
     first, second = (frame.shot.camera.camera_to_world for frame in case.frames)
     assert not np.array_equal(first, second)
+
+
+def test_more_lights_than_the_default_bound_are_measured() -> None:
+    settings = replace(_TINY, pipelines=(("light_grid", "packed"),), lights=(Bounds().max_lights + 1,))
+    rows = suite.run(settings, ["lights"], quiet=True)["lights"]["rows"]
+    ours = [row for row in rows if row["method"] == "light_grid/packed"]
+    assert [row["lights"] for row in ours] == [17] and ours[0]["dynamic ms"] > 0.0
