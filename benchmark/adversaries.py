@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random adversarial scenes: every sample by several pipelines and by brute force; no bit may differ.
 
-    python benchmark/adversaries.py --samples 1e8 --seed 1     # about an hour of one core
+    python benchmark/adversaries.py --samples 1e8 --seed 1     # about ten minutes of one core
 
 Half of the samples are points whose rays pass corners, edges and planes of triangles within roundings, or within up to
 a thousandth of the scene; the others are depth images of the scene from within, whose pixels lie on triangles. Lights
 lie anywhere: far and near, in planes, on corners and edges; suns, spotlights, lamps with a range. Meshes are soups,
-slivers, balls, integers full of ties, sheets through the light, streets, of any size from a micrometre to a thousand
+slivers, balls, integers full of ties, sheets through the light, streets, of any size from a micrometre to some hundred
 kilometres, and beside the origin. Each tracer is asked scene after scene, so what it keeps from one is there in the
-next. A random part of each scene's samples goes to ``brute_force/float64`` too, which has no filter.
+next. A random part of each scene's samples goes to ``brute_force/float64`` too, which has no filter. The first scene
+with an answer that differs ends the program; its arrays are in ``adversary.npz``.
 """
 
 from __future__ import annotations
