@@ -43,6 +43,7 @@ import sys
 sys.path.insert(0, {test!r})
 import slow_cases
 slow_cases.SECONDS = 0.1
+slow_cases._YARDSTICK = float("inf")  # this machine is not a slow one, whatever else it does
 
 def pytest_addoption(parser):
     parser.addoption("--find-slow", action="store_true")
