@@ -103,9 +103,9 @@ class Soak:
         self.packed = friend.create_publisher(CompressedImage, "depth/image_rect/compressedDepth", reliable())
         self.lamp = friend.create_publisher(PoseStamped, "shadow_tracer/lights/lamp/pose", reliable())
         self.query = friend.create_publisher(PointCloud2, "query", reliable())
-        self.setter = friend.create_client(SetParametersAtomically, "shadow_tracer/set_parameters_atomically")
-        self.clearing = friend.create_client(Trigger, "shadow_tracer/clear_meshes")
-        self.testing = friend.create_client(SelfTest, "shadow_tracer/self_test")
+        self.setter = rig.client(SetParametersAtomically, "shadow_tracer/set_parameters_atomically")
+        self.clearing = rig.client(Trigger, "shadow_tracer/clear_meshes")
+        self.testing = rig.client(SelfTest, "shadow_tracer/self_test")
         self.answers: list[PointCloud2] = []
         rig.listen(PointCloud2, "shadow_tracer/query/visibility", self.answers)
         self.triangles = np.zeros((0, 3), int)
@@ -120,8 +120,6 @@ class Soak:
         self.reserved: dict[str, set[str]] = {}
         for publisher in (self.marker, self.markers, self.cloud, self.lamp, self.query):
             rig.until(publisher.get_subscription_count, what=f"{publisher.topic_name} is heard")
-        for client in (self.setter, self.clearing, self.testing):
-            rig.until(client.service_is_ready, what=f"{client.srv_name} is there")
 
     # What changes
 

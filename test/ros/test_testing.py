@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from harness import SMALL
+from rcl_interfaces.srv import GetParameters
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -206,6 +208,27 @@ def test_what_does_not_come_is_said_with_what_came_last(shared: Harness) -> None
         shared.collect(String, "nothing/at/all", timeout=0.05)
     with pytest.raises(NotInTime, match="not within 0.05 s: somebody listens to nothing"):
         shared.publisher(String, "nothing", timeout=0.05)
+
+
+def test_a_client_that_never_finds_its_service_is_replaced(shared: Harness, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one in 300 does that is made while the service is being discovered."""
+    made: list[Client] = []
+    create = shared.friend.create_client
+
+    def blind_at_first(kind: type, service: str) -> Client:
+        made.append(create(kind, service))
+        if len(made) < 3:
+            monkeypatch.setattr(made[-1], "service_is_ready", lambda: False)
+        return made[-1]
+
+    monkeypatch.setattr(shared.friend, "create_client", blind_at_first)
+    monkeypatch.setattr(testing.friend, "_PATIENCE", 0.05)
+    assert shared.call(GetParameters, "shadow_tracer/get_parameters").values == []
+    assert shared.client(GetParameters, "shadow_tracer/get_parameters") is made[-1] and len(made) == 3
+    assert made[-1] in shared.friend.clients and made[0] not in shared.friend.clients
+    with pytest.raises(NotInTime, match="not within 0.2 s: nowhere is there"):
+        shared.client(GetParameters, "nowhere", timeout=0.2)
+    assert len(made) > 4, "and it is looked for again and again"
 
 
 def test_arguments_that_are_wrong_are_named(shared: Harness) -> None:

@@ -150,8 +150,7 @@ def test_masks_over_real_topics_and_a_malformed_request() -> None:
         frame = tracer.trace(wall(), camera, [PointLight("lamp", (0.5, -0.5, 0.0))], bias=BIAS)
         np.testing.assert_array_equal(mask, frame.mask())
         assert rig.status(DEVICE) and rig.reports[-1].status[0].name == "front/shadow_tracer: input depth"
-        client = rig.friend.create_client(SetParameters, "shadow_tracer/set_parameters")
-        rig.until(client.service_is_ready)
+        client = rig.client(SetParameters, "shadow_tracer/set_parameters")
         change = ParameterMsg(name="device", value=ParameterValue(type=4, string_value="cpu"))
         answer = client.call_async(SetParameters.Request(parameters=[change]))
         rig.until(answer.done)
