@@ -15,6 +15,7 @@ _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
 _EDGES, _IN_PLACE, _SIGNS = "test_open_edges.py", "visibility/in_place.h", "visibility/signs.h"
 _PACKETS, _BUNDLE = "test_packets.py", _ROOM + "bundle.h"
+_PLANES = _ROOM + "quad_planes.h"
 _DEPTH, _BIASED = "test_depth_charts.py", "test_biased_start.py"
 
 
@@ -125,6 +126,34 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         _PACKETS,
         "usual_form",
         [(_ROOM + "packets.h", "const int one = lanes & -lanes;", "const int one = 1;")],
+    ),
+    "a bundle begins at the node of its rays' begins": (
+        _PACKETS,
+        "usual_form",
+        [
+            (_BUNDLE, "(least[k] < 0.0f ? 1.001f * least[k] : 0.0f)", "0.0f"),
+            (_BUNDLE, "(most[k] > 0.0f ? 1.001f * most[k] : 0.0f)", "0.0f"),
+        ],
+    ),
+    "quads are flat": (
+        _PACKETS,
+        "usual_form",
+        [(_PLANES, "0.25f * Lanes16::absolute(bottom - top) + ray.pad[2]", "ray.pad[2]")],
+    ),
+    "planes of quads without padding": (
+        _FIELD,
+        "usual_form and (corners_of_boxes or rows_columns or plane)",
+        [(_PLANES, " + ray.pad[2]", ""), (_PLANES, "ray.pad[0] *", "0.0f *")],
+    ),
+    "planes of quads in their places": (
+        _FIELD,
+        "usual_form and slopes_beside",
+        [(_PLANES, "ray.pad[0] *", "0.0f *")],
+    ),
+    "above at one end": (
+        _PACKETS,
+        "usual_form",
+        [(_PLANES, "(first > pad) & (last > pad)", "(first > pad) | (last > pad)")],
     ),
     "one triangle of a quad": (
         _FIELD,
