@@ -85,6 +85,11 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "corners_of_boxes or sizes or terrain",
         [(_RAY, "Lanes::inverse(grows) * (1.0f - 0x1p-12f)", "Lanes::inverse(grows) * (1.0f + 0x1p-9f)")],
     ),
+    "a part of a long way is short": (
+        _FIELD,
+        "very_far",
+        [(_RAY, "if (meets & Lanes::bits(comes > begin_at)) {", "if (false) {")],
+    ),
     "segments behind the camera": (
         _DEPTH,
         "very_near",
