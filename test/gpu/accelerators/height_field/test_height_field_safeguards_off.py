@@ -127,6 +127,16 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "usual_form",
         [(_ROOM + "packets.h", "if (!(lanes & query.asking))", "if (lanes & ~query.asking)")],
     ),
+    "all rays of a tile ask": (
+        _PACKETS,
+        "usual_form and images",
+        [(_IN_PLACE, "all &= asked.states.data[numbers[j]] == LIT;", "")],
+    ),
+    "a tile takes the place of rays that wait": (
+        _PACKETS,
+        "usual_form and images",
+        [(_IN_PLACE, "!looked && taken == 0", "!looked")],
+    ),
     "rays far apart are the first one": (
         _PACKETS,
         "usual_form",
