@@ -47,6 +47,11 @@ struct WIDE(Walker) {
             return number;
         }
     };
+    static inline void go(const Structure& structure, WIDE(Query) & query) {
+        query.begin();
+        WIDE(Walk)::walk(structure, query);
+        query.end();
+    }
     // Those from `first` to `last`.
     static inline void some(int first, int last, int row, const Structure& structure, const Asked& asked) {
         WIDE(Query) query(asked);
@@ -61,13 +66,16 @@ struct WIDE(Walker) {
             const int numbers[1] = { ray }, count = 1;
 #endif
             ray += count;
+#if LANES > 1
+            if (count == LANES && query.take_all(numbers)) {
+                go(structure, query);
+                continue;
+            }
+#endif
             for (int j = 0; j < count; ++j) {
                 query.take(numbers[j]);
-                if (query.taken && (query.full() || (ray == last && j + 1 == count))) {
-                    query.begin();
-                    WIDE(Walk)::walk(structure, query);
-                    query.end();
-                }
+                if (query.taken && (query.full() || (ray == last && j + 1 == count)))
+                    go(structure, query);
             }
         }
         query.report(row);

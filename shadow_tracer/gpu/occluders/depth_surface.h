@@ -26,12 +26,23 @@ struct DepthSurface : Arithmetic {
         const double* across = ways.data + (each ? begin : 0);
         const double* downwards = ways.data + down + (each ? begin : (size_t)row);
         double* out = (double*)(to.data + place + begin);
+        // A loop for each kind of image, so that it becomes one of vectors.
+        if (!each && step == 1)
+            some(image.data, steps, pixel, 1, across, downwards, false, first, last, out);
+        else if (!each)
+            some(image.data, steps, pixel, step, across, downwards, false, first, last, out);
+        else
+            some(image.data, steps, pixel, step, across, downwards, true, first, last, out);
+    }
+    static inline void some(const unsigned char* __restrict__ image, const bool steps, size_t pixel, const int step,
+                            const double* __restrict__ across, const double* __restrict__ downwards, const bool each,
+                            int first, int last, double* __restrict__ out) {
         for (int c = first; c < last; ++c) {
-            const double z = depth(image.data, steps, pixel + (size_t)c * step);
+            const double z = depth(image, steps, pixel + (size_t)c * step);
             const double x = mul(across[c], z), y = mul(downwards[each ? c : 0], z);
             // What is not a number compares false.
-            const bool there = z > 0.0 && z <= LARGEST_COORDINATE && absolute(x) <= LARGEST_COORDINATE
-                               && absolute(y) <= LARGEST_COORDINATE;
+            const bool there = (z > 0.0) & (z <= LARGEST_COORDINATE) & (absolute(x) <= LARGEST_COORDINATE)
+                               & (absolute(y) <= LARGEST_COORDINATE);
             out[3 * (size_t)c] = there ? x : 0.0;
             out[3 * (size_t)c + 1] = there ? y : 0.0;
             out[3 * (size_t)c + 2] = there ? z : 0.0;

@@ -32,6 +32,19 @@ struct WIDE(AnyHit) {
         ray[taken++] = number;
 #endif
     }
+#if LANES > 1
+    // Takes LANES rays if there is something to find out about all of them, and no other waits; returns whether it has.
+    inline bool take_all(const int* numbers) {
+        int all = taken == 0;
+        for (int j = 0; j < LANES; ++j)
+            all &= (answers.states.data[numbers[j]] == LIT) & (rays.data[numbers[j]][0] == rays.data[numbers[j]][0]);
+        if (!all)
+            return false;
+        memcpy(ray, numbers, sizeof(ray));
+        taken = LANES;
+        return true;
+    }
+#endif
     inline bool full() const { return taken == LANES; }
     inline int count() const { return answers.samples; } // of rays
     // Before triangles are shown. Lanes without a ray repeat the first one, and do not ask.

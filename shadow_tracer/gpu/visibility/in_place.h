@@ -55,6 +55,21 @@ struct WIDE(InPlace) {
         ray[taken++] = number;
 #endif
     }
+#if LANES > 1
+    // Takes LANES rays if all of them ask, and no other waits; returns whether it has.
+    inline bool take_all(const int* numbers) {
+        int all = !looked && taken == 0;
+        for (int j = 0; j < LANES; ++j)
+            all &= asked.states.data[numbers[j]] == LIT;
+        for (int j = 0; has_rays && j < LANES; ++j)
+            all &= has_ray(asked, numbers[j]);
+        if (!all)
+            return false;
+        memcpy(ray, numbers, sizeof(ray));
+        taken = LANES;
+        return true;
+    }
+#endif
     // That which triangles are shown to.
     inline int number() const {
 #if LANES == 1

@@ -37,6 +37,26 @@ struct ChartBundle {
         const float across = above[0] - below[0] + most[0] - least[0], down = above[1] - below[1] + most[1] - least[1];
         return across > down ? across : down;
     }
+    // The quad that something is over, or the nearest one, along an axis that has so many.
+    static inline int quad(float at, int quads) {
+        return at > 0.0f ? at < (float)(quads - 1) ? (int)at : quads - 1 : 0;
+    }
+    // The first and the last quad along an axis that some of the rays may meet.
+    inline void among(int k, int quads, int& from, int& to) const {
+        from = quad(below[k] + (least[k] < 0.0f ? 1.001f * least[k] : 0.0f), quads);
+        to = quad(above[k] + (most[k] > 0.0f ? 1.001f * most[k] : 0.0f), quads);
+    }
+    // The node, of a level up to `level`, that all quads that some of the rays may meet are under: the smallest one.
+    inline void begins(const DeviceChart& chart, int& level, int& row, int& column) const {
+        int left, right, first, last;
+        among(0, chart.columns - 1, left, right);
+        among(1, chart.rows - 1, first, last);
+        // Numbers of nodes of level l are those of quads but for the last 2 l + 2 bits.
+        while (level > 0 && ((left ^ right) | (first ^ last)) >> 2 * level == 0)
+            --level;
+        row = first >> 2 * (level + 1);
+        column = left >> 2 * (level + 1);
+    }
     inline void enter(int k, Real16 low, Real16 high, Real16& in, Real16& out) const {
         CONTRACTED
         const Real16 one = low * of_most[k] - first[k], two = high * of_least[k] - last[k];

@@ -1,5 +1,5 @@
 // cpu
-// needs: accelerators/height_field/bundle.h accelerators/height_field/at_chart.h@16
+// needs: accelerators/height_field/bundle.h accelerators/height_field/quad_planes.h accelerators/height_field/at_chart.h@16
 // arguments: Structure structure, Level wp::load(structure.levels.data)
 // constants: CHART_LEVELS
 // Down the nodes of each chart with sixteen rays at a time: as a bundle against all sixteen children of a node, and
@@ -11,9 +11,8 @@ struct Walk16 {
     };
     typedef int Pairs __attribute__((ext_vector_type(16), aligned(4)));
 
-    // Columns and rows of a node's children.
-    static inline Real16 across() { return Real16{ 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3 }; }
-    static inline Real16 down() { return Real16{ 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3 }; }
+    static inline Real16 across() { return QuadPlanes::across(); }
+    static inline Real16 down() { return QuadPlanes::down(); }
     // The children of a node that rays may meet, as bits, the first that they come to lowest.
     static inline int children(const Structure& structure, const ChartBundle& bundle, int first, int columns, int level,
                                int row, int column) {
@@ -32,29 +31,39 @@ struct Walk16 {
         }
         return met;
     }
-    // The rays at those quads of a node that some of them may meet, as bits in their order: first all of these are
-    // compared, without a branch for each, which would be taken as often as not.
-    static inline void show(const DeviceChart& chart, const ChartRay16& ray, int lanes, int flip,
-                            const wp::uint32* leaf, int row, int column, int left, Query16& query) {
+    // The quads of a node that some of the rays may meet, and which rays those are, as bits: first all of their boxes
+    // are compared, without a branch for each, which would be taken as often as not.
+    static inline int boxes(const ChartRay16& ray, int lanes, int flip, const wp::uint32* leaf, int row, int column,
+                            int left, int* quads, int* met) {
         const Mask16 heights = *(const Pairs*)leaf;
         const Real16 low = __builtin_convertvector(heights & 0xFFFF, Real16),
                      high = __builtin_convertvector(heights >> 16 & 0xFFFF, Real16);
-        const Real16 middle[3] = { across() + ((float)column + 0.5f), down() + ((float)row + 0.5f),
-                                   0.5f * (low + high) };
-        const Real16 half = 0.5f * (high - low);
-        int met[16], place[16], count = 0;
-        for (lanes &= query.asking; left; left &= left - 1) {
-            const int child = __builtin_ctz(left) ^ flip;
-            met[count] = lanes & ray.met(middle[0][child], middle[1][child], middle[2][child], half[child]);
-            place[count] = child;
-            if (met[count])
-                AtChart16::fetch(chart, row + child / 4, column + child % 4, query);
+        float middle[3][16], half[16];
+        Lanes16::store(middle[0], across() + ((float)column + 0.5f));
+        Lanes16::store(middle[1], down() + ((float)row + 0.5f));
+        Lanes16::store(middle[2], 0.5f * (low + high));
+        Lanes16::store(half, 0.5f * (high - low));
+        int count = 0;
+        for (; left; left &= left - 1) {
+            const int quad = __builtin_ctz(left) ^ flip;
+            met[count] = lanes & ray.met(middle[0][quad], middle[1][quad], middle[2][quad], half[quad]);
+            quads[count] = quad;
             count += met[count] != 0;
         }
+        return count;
+    }
+    // Shows them, in the order of the rays.
+    static inline void show(const Structure& structure, const DeviceChart& chart, const ChartRay16& ray, int lanes,
+                            int flip, const wp::uint32* leaf, int row, int column, int left, Query16& query) {
+        int quads[16], met[16], count = boxes(ray, lanes & query.asking, flip, leaf, row, column, left, quads, met);
+        if (count && QuadPlanes::all(chart, row, column))
+            count = QuadPlanes(structure, chart, ray, row, column).keep(ray, quads, met, count);
+        for (int k = 0; k < count; ++k)
+            AtChart16::fetch(chart, row + quads[k] / 4, column + quads[k] % 4, query);
         for (int k = 0; k < count; ++k)
             for (int some = met[k] & query.asking; some; some &= some - 1) {
                 query.lane = __builtin_ctz(some);
-                AtChart16::show(chart, row + place[k] / 4, column + place[k] % 4, query);
+                AtChart16::show(chart, row + quads[k] / 4, column + quads[k] % 4, query);
             }
     }
     // Until something hides all of them.
@@ -62,17 +71,18 @@ struct Walk16 {
                                const ChartBundle& bundle, Query16& query) {
         const auto& chart = structure.charts.data[number];
         const auto* levels = structure.levels.data + CHART_LEVELS * number;
-        int top = 0, left[CHART_LEVELS], some = lanes, row = 0, column = 0;
+        int top = 0, left[CHART_LEVELS], some = lanes, row, column;
         while (levels[top].rows * levels[top].columns > 1)
             ++top;
+        bundle.begins(chart, top, row, column);
         for (int level = top;;) {
             const Level& here = levels[level];
             ++query.nodes;
             left[level] = children(structure, bundle, here.first, here.columns, level, row, column);
             if (level == 0 && left[0]) {
                 const size_t node = (size_t)here.first + (size_t)row * here.columns + column;
-                show(chart, ray, some, bundle.flip, structure.nodes.data + 16 * node, 4 * row, 4 * column, left[0],
-                     query);
+                show(structure, chart, ray, some, bundle.flip, structure.nodes.data + 16 * node, 4 * row, 4 * column,
+                     left[0], query);
                 if (!(lanes & query.asking))
                     return;
                 left[0] = 0;

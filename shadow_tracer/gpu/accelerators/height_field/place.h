@@ -29,7 +29,8 @@ struct Placed {
         // A corner without depth is where the camera is.
         const double none = chart.made ? 0.0 : HUGE_VAL;
         const double x1 = chart.camera[0] + none, y1 = chart.camera[1] + none, z1 = chart.camera[2] + none;
-        double most = 0.0, off[CHUNK];
+        // Of each place of a chunk, as a single largest number would wait for the one before.
+        double most[CHUNK] = {};
         for (int first = 0; first < chart.columns; first += CHUNK) {
             const int count = chart.columns - first < CHUNK ? chart.columns - first : CHUNK;
             for (int k = 0; k < count; ++k) {
@@ -44,11 +45,13 @@ struct Placed {
                 const bool placed =
                     (at.d >= chart.nearest) & (h >= 0.0) & (h <= CHART_STEPS) & (s < 1.0e30) & (t < 1.0e30);
                 const bool valid = (fabs(x) < HUGE_VAL) & (fabs(y) < HUGE_VAL) & (fabs(z) < HUGE_VAL) & !gone;
-                off[k] = valid ? (placed ? farther : 1.0e30) : 0.0;
+                const double off = valid ? (placed ? farther : 1.0e30) : 0.0;
+                most[k] = off > most[k] ? off : most[k];
             }
-            for (int k = 0; k < count; ++k)
-                most = off[k] > most ? off[k] : most;
         }
-        return most;
+        for (int half = CHUNK / 2; half > 0; half /= 2)
+            for (int k = 0; k < half; ++k)
+                most[k] = most[k + half] > most[k] ? most[k + half] : most[k];
+        return most[0];
     }
 };

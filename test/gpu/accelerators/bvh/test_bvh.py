@@ -10,7 +10,7 @@ import numpy as np
 import probe
 import pytest
 
-from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer
+from shadow_tracer import Bounds, Camera, DirectionalLight, PointLight, ShadowTracer, SpotLight
 from shadow_tracer.gpu.accelerators.bvh.tree import FEWEST, LANES, LEVELS, NONE, most_blocks
 from shadow_tracer.gpu.accelerators.segment import OUTSIDE, PADDING
 from shadow_tracer.gpu.engine import bands, frame
@@ -290,22 +290,27 @@ def test_bundles_through_many_blocks(any_device: str) -> None:
     assert 0.05 < expected.mean() < 1.0
 
 
-def test_images_of_any_size_are_traced_whole(any_device: str) -> None:
-    """Sixteen pixels of a packet are a tile where the image has room for it. By ``brute_force/float64``, which takes
-    pixels in their order."""
+@pytest.mark.parametrize("holes", [0.0, 0.03])
+def test_images_of_any_size_are_traced_whole(any_device: str, holes: float) -> None:
+    """Sixteen pixels of a packet are a tile where the image has room for it and all of them ask, which those without
+    depth do not, or those that a spot does not shine on. By ``brute_force/float64``, which takes pixels in their
+    order."""
     mesh = geometry.soup(np.random.default_rng(13), 60, 0.5, 1.0)
     tracers = [_tracer(any_device, names) for names in ("bvh/sah", "brute_force/filtered", "brute_force/float64")]
-    lamp, hidden = PointLight("lamp", (0.3, 0.2, -2.0)), 0
+    lights: list[Any] = [PointLight("lamp", (0.3, 0.2, -2.0)), SpotLight("spot", (0.3, 0.2, -2.0), (0, 0, 1), 0.1)]
+    hidden = np.zeros(2, int)
     for tracer in tracers:
         tracer.scene.put("mesh", *mesh)
     for width in (1, 2, 3, 4, 5, 7, 8, 33):
         for height in (1, 3, 4, 5, 9, 33):
             camera = Camera(width, height, 30.0, 30.0, width / 2, height / 2)
-            depth = np.random.default_rng(width * height).uniform(0.5, 3.0, (height, width)).astype(np.float32)
-            first, *others = (tracer.trace(depth, camera, [lamp]).state("lamp") for tracer in tracers)
-            assert all(np.array_equal(first, other) for other in others), (width, height)
-            hidden += int((first == 1).sum())
-    assert hidden > 500
+            rng = np.random.default_rng(width * height)
+            depth = rng.uniform(0.5, 3.0, (height, width)).astype(np.float32)
+            depth[rng.random(depth.shape) < holes] = 0.0
+            first, *others = (tracer.trace(depth, camera, lights) for tracer in tracers)
+            assert all(first.differing(other) == 0 for other in others), (width, height)
+            hidden += [(first.state(light.name) == 1).sum() for light in lights]
+    assert hidden[0] > 500 and hidden[1] > 50
 
 
 def test_samples_far_away_and_beside_the_box(any_device: str) -> None:

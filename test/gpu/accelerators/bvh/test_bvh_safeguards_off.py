@@ -65,6 +65,11 @@ _MUTANTS: dict[str, tuple[str, tuple[bool, bool], list[Change]]] = {
             ("accelerators/segment.h", "!(fabs(start[k]) <= FAR_AWAY)", "false"),
         ],
     ),
+    "a tile takes the place of rays that wait": (
+        "any_size",
+        _USUAL,
+        [("visibility/any_hit.h", "int all = taken == 0;", "int all = 1;")],
+    ),
     "columns beside the tiles are those of tiles": (
         "any_size",
         _USUAL,

@@ -148,6 +148,42 @@ def test_positions_beside_their_places(any_device: str) -> None:
     assert probe.charts(tracer)[0] == ["ground"] and 0.2 < (states == 1).mean() < 0.999
 
 
+def test_corners_of_the_surface_from_very_far(any_device: str) -> None:
+    """Level rays that touch the surface at one of its four corners and nowhere else, from up to a million times as far
+    as it is wide, where a float32 number is no place in it any more."""
+    rng = np.random.default_rng(12)
+    positions = HeightField(rng.integers(0, 33, (33, 33)) / 1.0, 1.0).positions()
+    middle, points, lights = positions[16, 16, :2], [], []
+    for number, corner in enumerate(positions[row, column] for row in (0, 32) for column in (0, 32)):
+        inside = np.append(np.sign(middle - corner[:2]), 0.0)
+        for way in ((1, -1, 0), (-1, 1, 0), (3, -1, 0), (-1, 2, 0)):
+            along = inside * way  # to the inside along one axis, to the outside along the other
+            lights.append(PointLight(f"lamp {number} {way}", corner + along))
+            points.append(corner - along * 2.0**18 * rng.integers(8, 32, (40, 1)))
+    states, _, tracer = agree(
+        any_device, lambda scene: scene.put_surface("ground", positions), np.concatenate(points), lights
+    )
+    hidden = [(states[k, 40 * k : 40 * (k + 1)] == 1).all() for k in range(len(lights))]
+    assert probe.charts(tracer)[0] == ["ground"] and all(hidden)
+
+
+def test_slopes_beside_their_places(any_device: str) -> None:
+    """Ridges whose columns are a part of a cell away, one to the left and the next to the right: rays that begin just
+    behind their slopes, which are planes, and would be in front of them if these were in their places."""
+    positions = HeightField(np.zeros((33, 33)), 1.0).positions()
+    positions[:, 4:-4:4, 2] = 6.0
+    positions[:, 4:-4:8, 0] += 1.0 / 32.0
+    positions[:, 8:-4:8, 0] -= 1.0 / 32.0
+    slopes = [positions[4:-4, 4:-4:4] * (1.0 - u) + positions[4:-4, 4 + k : -4 + k : 4] * u
+              for u in (0.125, 0.25, 0.5, 0.75) for k in (1, -1)]  # fmt: skip
+    on = np.concatenate([0.5 * (each[1:] + each[:-1]) for each in slopes]).reshape(-1, 3)
+    towards = np.array([1.0 / 64.0, 1.0 / 32.0, 1.0])
+    points = np.concatenate([on + towards * far for far in (-0.125, -0.0625, 0.0625, 0.125)])
+    suns = [DirectionalLight("up", -towards), DirectionalLight("down", towards)]
+    states, _, tracer = agree(any_device, lambda scene: scene.put_surface("ridges", positions), points, suns)
+    assert probe.charts(tracer)[0] == ["ridges"] and 0.3 < (states == 1).mean() < 0.7
+
+
 def test_a_flat_surface_and_rays_in_its_plane(any_device: str) -> None:
     rng = np.random.default_rng(7)
     field = HeightField(np.zeros((20, 30)), 0.5)

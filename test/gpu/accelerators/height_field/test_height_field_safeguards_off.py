@@ -15,6 +15,7 @@ _NODES, _CHARTS = _ROOM + "nodes.h", _ROOM + "charts.py"
 _FIELD, _SWEPT, _KEPT = "test_height_field.py", "test_sweep.py", "test_kept.py"
 _EDGES, _IN_PLACE, _SIGNS = "test_open_edges.py", "visibility/in_place.h", "visibility/signs.h"
 _PACKETS, _BUNDLE = "test_packets.py", _ROOM + "bundle.h"
+_PLANES = _ROOM + "quad_planes.h"
 _DEPTH, _BIASED = "test_depth_charts.py", "test_biased_start.py"
 
 
@@ -84,6 +85,11 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "corners_of_boxes or sizes or terrain",
         [(_RAY, "Lanes::inverse(grows) * (1.0f - 0x1p-12f)", "Lanes::inverse(grows) * (1.0f + 0x1p-9f)")],
     ),
+    "a part of a long way is short": (
+        _FIELD,
+        "very_far",
+        [(_RAY, "if (meets & Lanes::bits(comes > begin_at)) {", "if (false) {")],
+    ),
     "segments behind the camera": (
         _DEPTH,
         "very_near",
@@ -121,10 +127,48 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
         "usual_form",
         [(_ROOM + "packets.h", "if (!(lanes & query.asking))", "if (lanes & ~query.asking)")],
     ),
+    "all rays of a tile ask": (
+        _PACKETS,
+        "usual_form and images",
+        [(_IN_PLACE, "all &= asked.states.data[numbers[j]] == LIT;", "")],
+    ),
+    "a tile takes the place of rays that wait": (
+        _PACKETS,
+        "usual_form and images",
+        [(_IN_PLACE, "!looked && taken == 0", "!looked")],
+    ),
     "rays far apart are the first one": (
         _PACKETS,
         "usual_form",
         [(_ROOM + "packets.h", "const int one = lanes & -lanes;", "const int one = 1;")],
+    ),
+    "a bundle begins at the node of its rays' begins": (
+        _PACKETS,
+        "usual_form",
+        [
+            (_BUNDLE, "(least[k] < 0.0f ? 1.001f * least[k] : 0.0f)", "0.0f"),
+            (_BUNDLE, "(most[k] > 0.0f ? 1.001f * most[k] : 0.0f)", "0.0f"),
+        ],
+    ),
+    "quads are flat": (
+        _PACKETS,
+        "usual_form",
+        [(_PLANES, "0.25f * Lanes16::absolute(bottom - top) + ray.pad[2]", "ray.pad[2]")],
+    ),
+    "planes of quads without padding": (
+        _FIELD,
+        "usual_form and (corners_of_boxes or rows_columns or plane)",
+        [(_PLANES, " + ray.pad[2]", ""), (_PLANES, "ray.pad[0] *", "0.0f *")],
+    ),
+    "planes of quads in their places": (
+        _FIELD,
+        "usual_form and slopes_beside",
+        [(_PLANES, "ray.pad[0] *", "0.0f *")],
+    ),
+    "above at one end": (
+        _PACKETS,
+        "usual_form",
+        [(_PLANES, "(first > pad) & (last > pad)", "(first > pad) | (last > pad)")],
     ),
     "one triangle of a quad": (
         _FIELD,
