@@ -2,19 +2,22 @@
 """Bands of the samples of a frame: how many, and where they begin. No Warp here.
 
 A frame is done when its slowest band is. Equal numbers of measurements are not equal work: one half of an image may
-look into the sky. So bands of an image are cut where those of the frames before have taken equally long. The answer
-does not depend on where the cuts are.
+look into the sky. So bands of an image are cut where those of the frames before have taken equally long, in time of the
+processor: how long a thread has waited for one says nothing of its rows. The answer does not depend on where the cuts
+are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.scene.bounds import Bounds
+
+_Names = TypeVar("_Names")
 
 # Fewer samples for each band are not worth a thread.
 LEAST = 16384
@@ -99,3 +102,8 @@ class Balance:
         farthest = _FARTHEST / self._count
         self._wanted = np.clip(ideal, np.asarray(self._edges) - farthest, np.asarray(self._edges) + farthest)
         self._moves += 1
+
+
+def balances(bands_of: Mapping[_Names, Sequence[Any]]) -> dict[_Names, Balance]:
+    """Of each pipeline that has several bands one that has learned nothing yet."""
+    return {names: Balance(len(bands)) for names, bands in bands_of.items() if len(bands) > 1}

@@ -201,6 +201,8 @@ class Engine:
         """Let the chooser see what its candidates take on this device."""
         if self._chooser is not None:
             calibrate(self, self._chooser, self.bounds)
+            # That was another image: where it lies and is cut must not matter to those that come.
+            self._whole(lambda inside: inside.tracers[0].forget())
 
     @property
     def verifier(self) -> str | None:

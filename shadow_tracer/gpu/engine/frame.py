@@ -21,8 +21,8 @@ from shadow_tracer.gpu.device.workers import Job, Workers
 from shadow_tracer.gpu.engine.apart import Apart, trace_beside
 from shadow_tracer.gpu.engine.area_lights import Run, trace_area_lights
 from shadow_tracer.gpu.engine.automatic import Chooser, Names, Situation
-from shadow_tracer.gpu.engine.band import Band
-from shadow_tracer.gpu.engine.bands import LEAST, Balance, even_bands
+from shadow_tracer.gpu.engine.band import Band, deal
+from shadow_tracer.gpu.engine.bands import LEAST, balances, even_bands
 from shadow_tracer.gpu.engine.gather import Traced, gather_counters, gather_stages, gather_states
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
@@ -110,15 +110,17 @@ class FrameTracer:
     def take(self, chooser: Chooser | None, bands_of: dict[Names, list[Band]]) -> None:
         """Use other bands from the next frame on; the old ones are freed."""
         self._chooser, self._bands_of, self._bands = chooser, bands_of, next(iter(bands_of.values()))
-        self._balances = {names: Balance(len(bands)) for names, bands in bands_of.items() if len(bands) > 1}
+        self._balances = balances(bands_of)
         self._apart = Apart(self.device, self._use_graphs)
         self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
 
     def forget(self) -> None:
-        """Make everything again in the next frame."""
+        """Make everything again in the next frame, as if it were the first."""
         self._samples.make_again()
+        self._anchor = None
+        self._balances = balances(self._bands_of)
         self._context.records.forget()
         for band in self._all_bands():
             band.pipeline.forget()
@@ -179,7 +181,7 @@ class FrameTracer:
             working = [band for band in bands if band.samples.count]
             new = not self._samples.has_depth(self._sets(working), depth, camera, bias)
             if new:  # else the cuts stay where they are, and with them all that is kept of the rays
-                working = _deal(bands, self._cut(bands, depth), camera.width)
+                working = deal(bands, self._cut(bands, depth), camera.width)
                 self._samples.put_depth(self._sets(working), depth, camera, bias)
         self._anchor = depth_anchor(depth, camera, bias, self._anchor)
         caught_up = all(band.followed == before for band in working)
@@ -209,7 +211,7 @@ class FrameTracer:
         with self.stages.stage("upload"):
             self._choose(self._sync(scene), len(points), lights)
             bands = self._working(len(points))
-            working = _deal(bands, even_bands(len(points), len(bands)), 0)
+            working = deal(bands, even_bands(len(points), len(bands)), 0)
             before, self._anchor = self._anchor, None  # that of samples that are there, or none
             known = self._samples.put_points(self._sets(working), points, bias, valid)
         self._anchor = before if known and before else points_anchor(points, valid, bias, before)
@@ -392,7 +394,7 @@ class FrameTracer:
             working[0].aim(rays.lights)
 
             def job(band: Band, rays: Rays = rays, first: bool = number == 0) -> None:
-                begin = time.perf_counter()
+                begin = time.thread_time()
                 if first:
                     band.begin(source)
                 band.project(rays, not hidden)
@@ -400,19 +402,12 @@ class FrameTracer:
                     band.trace(rays)
                 elif load:
                     band.trace_uncounted(rays)
-                band.busy += time.perf_counter() - begin
+                band.busy += time.thread_time() - begin
 
             run([partial(job, band) for band in working])
         if self._planes:
             with self.stages.stage("download"):
                 self._planes.pack(sum(len(rays.lights) for rays in passes))
-
-
-def _deal(bands: Sequence[Band], cuts: Sequence[tuple[int, int]], width: int) -> list[Band]:
-    """Tell each band its samples; returns those that have any."""
-    for band, (first, end) in zip(bands, cuts, strict=True):
-        band.samples.set_samples(end - first, width, first)
-    return [band for band in bands if band.samples.count]
 
 
 def _one_after_the_other(jobs: Sequence[Job]) -> None:

@@ -6,12 +6,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import geometry
 import numpy as np
 import probe
 import pytest
 import views
 
-from shadow_tracer import Bounds, ShadowTracer
+from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
 from shadow_tracer.gpu.engine.automatic import (
     BRUTE_FORCE,
     CANDIDATES,
@@ -229,6 +230,31 @@ def test_it_is_warmed_up_calibrated_and_says_what_it_does() -> None:
     made.select("auto")
     assert made.device_bytes > before, "the buffers of all candidates count"
     assert made.verify(seen.depth, seen.camera, list(seen.lights), bias=seen.bias) == 0
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_it_was_calibrated_by_is_forgotten(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames after it are those of a tracer that has seen nothing: where its samples lie and are cut, and how much is
+    looked at."""
+    bounds = replace(_BOUNDS, max_triangles=16384)
+    made = ShadowTracer("auto", device="cpu", bounds=bounds, threads=threads)
+    made.warm_up()
+    assert probe.calibrated(made) == set(CANDIDATES)
+    alone = ShadowTracer("light_grid", device="cpu", bounds=bounds, threads=threads)
+    chooser: Any = probe.chooser(made)
+    chooser.forced = LIGHT_GRID
+    camera, lamp = Camera(192, 192, 192.0, 192.0, 95.5, 95.5), PointLight("lamp", (0.9, -0.4, -0.2))
+    for tracer in (made, alone):
+        for balance in probe.balances(tracer).values():
+            monkeypatch.setattr(balance, "learn", lambda times: None)  # cuts stay
+        tracer.scene.put("ball", *geometry.icosphere(3, 0.4, (0.2, 0.1, 1.3)))
+    for step in range(2):
+        depth = np.random.default_rng(step).uniform(1.9, 2.3, (192, 192)).astype(np.float32)  # in that sheet's box
+        found = [tracer.trace(depth, camera, [lamp], bias=0.01) for tracer in (made, alone)]
+        assert probe.kept(made, "") == probe.kept(alone, "")
+        assert np.array_equal(found[0].state("lamp"), found[1].state("lamp"))
+        if threads == 1:  # else who comes first looks at what is common
+            assert found[0].counters == found[1].counters
 
 
 def test_small_bounds_leave_the_law() -> None:

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 import geometry
 import numpy as np
 import probe
@@ -196,3 +199,25 @@ def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
     assert len({id(balance) for balance in balances.values()}) == len(balances) >= 2
     single = ShadowTracer("light_grid", "spherical", device="cpu", bounds=_BOUNDS, threads=2)
     assert probe.balances(single) == {}
+
+
+@pytest.mark.wide
+def test_bands_are_judged_by_the_time_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that waits for a processor has no more work than others. Here each looks at a clock that its band's rows
+    move."""
+    tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=_BOUNDS, threads=2)
+    tracer.scene.put("ball", *geometry.icosphere(3, 0.8, (0.0, 0.0, 2.5)))
+    tracer.trace(_depth(), _CAMERA, [_LAMP])
+    (balance,) = probe.balances(tracer).values()
+    learned: list[list[float]] = []
+    monkeypatch.setattr(balance, "learn", learned.append)
+    clocks: dict[int, float] = {}
+
+    def look() -> float:
+        me = threading.get_ident()
+        clocks[me] = clocks.get(me, 0.0) + (3.0 if me == threading.main_thread().ident else 5.0)
+        return clocks[me]
+
+    monkeypatch.setattr(time, "thread_time", look)
+    tracer.trace(_depth(1), _CAMERA, [_LAMP])
+    assert learned == [[3.0, 5.0]]
