@@ -202,6 +202,19 @@ def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
 
 
 @pytest.mark.wide
+def test_who_is_to_forget_cuts_evenly() -> None:
+    tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=_BOUNDS, threads=2)
+    for part, count in ((0.4, None), (None, 128 * 256)):
+        if part is None:
+            probe.forget(tracer, "")
+        for balance in probe.balances(tracer).values() if part else ():
+            probe.cut_at(balance, [part])
+        tracer.trace(_depth(), _CAMERA, [_LAMP])
+        rows = [band.samples.count for band in probe.bands(tracer)]
+        assert rows[0] < 110 * 256 if count is None else rows == [count, count]
+
+
+@pytest.mark.wide
 def test_bands_are_judged_by_the_time_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread that waits for a processor has no more work than others. Here each looks at a clock that its band's rows
     move."""
