@@ -29,7 +29,7 @@ No Warp here.
 
 from __future__ import annotations
 
-from shadow_tracer.gpu.engine.costs import BRUTE_FORCE, LIGHT_GRID, MESH_BVH, Names, Situation, lawful
+from shadow_tracer.gpu.engine.costs import BRUTE_FORCE, LIGHT_GRID, MESH_BVH, Names, Situation, catching_up, lawful
 
 CANDIDATES = (LIGHT_GRID, MESH_BVH, BRUTE_FORCE)
 
@@ -143,8 +143,14 @@ class Chooser:
     def _second_to_try(
         self, frame: Situation, ranking: list[Names], costs: dict[Names, float], best: Names, number: int
     ) -> Names | None:
-        due = self._trial.setdefault(frame.kind, _FIRST_TRIAL if frame.change else _TRIAL_AT_REST)
-        if number < due or len(ranking) < 2:
+        if len(ranking) < 2:
+            return None
+        due = self._trial.get(frame.kind)
+        if due is None:
+            # At rest not before as much has been spent on frames as the second takes to be made.
+            made = max(catching_up(names, frame) for names in ranking if names != best) / costs[best]
+            due = self._trial[frame.kind] = _FIRST_TRIAL if frame.change else max(_TRIAL_AT_REST, int(made))
+        if number < due:
             return None
         if number == due:
             second = self._on_trial[frame.kind] = next(names for names in ranking if names != best)

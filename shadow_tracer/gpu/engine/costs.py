@@ -26,6 +26,8 @@ _GRID_FRAME, _GRID_RAY, _GRID_MOVED, _GRID_BOX, _GRID_ENTRY = 370_000.0, 14.0, 8
 _TREE_FRAME, _TREE_RAY, _TREE_MOVED, _TREE_BUILT = 520_000.0, 35.0, 80.0, 350.0
 _TREE_NODE, _TREE_FAR, _TREE_NEAR, _TREE_TEST = 14.0, 1.2, 13.0, 4.5
 _BRUTE_FRAME, _BRUTE_RAY, _BRUTE_MOVED, _BRUTE_TEST = 480_000.0, 10.0, 100.0, 0.45
+# Points are sorted, or find nothing of a tree in the caches that the one before has left there.
+_GRID_LISTED, _TREE_LISTED = 30.0, 2.5
 # The same before anything has been counted: of a pair of sample and triangle its root, and what a ray takes of a tree.
 _GRID_PAIR, _GRID_TRIANGLE, _TREE_STEP, _BRUTE_PAIR = 55.0, 12.0, 11.0, 0.3
 
@@ -38,6 +40,7 @@ class Situation:
         change: 0 nothing, 1 positions, 2 triangles of the scene have changed since the frame before.
         rays, triangles, lights: their numbers.
         new_lights: whether lights or their frame have changed.
+        listed: whether samples are a list of points, in any order, and no image.
     """
 
     change: int
@@ -45,21 +48,23 @@ class Situation:
     triangles: int
     lights: int
     new_lights: bool = False
+    listed: bool = False
 
     @cached_property
     def kind(self) -> tuple[int, ...]:
         """Situations that are taken for the same."""
         sizes = (self.rays, self.triangles, self.lights)
-        return (self.change, *(max(size, 1).bit_length() for size in sizes), int(self.new_lights))
+        return (self.change, *(max(size, 1).bit_length() for size in sizes), int(self.new_lights), int(self.listed))
 
 
 def lawful(names: Names, frame: Situation) -> float:
     """Milliseconds by the rough law."""
     n, t, lights = frame.rays, max(frame.triangles, 1), frame.lights
     if names == LIGHT_GRID:
-        cost = lights * (_GRID_RAY * n + _GRID_PAIR * math.sqrt(n * t) + _GRID_TRIANGLE * t)
+        ray = _GRID_RAY + _GRID_LISTED * frame.listed
+        cost = lights * (ray * n + _GRID_PAIR * math.sqrt(n * t) + _GRID_TRIANGLE * t)
     elif names == MESH_BVH:
-        cost = lights * _TREE_STEP * n * math.log2(t + 1)
+        cost = lights * _TREE_STEP * n * math.log2(t + 1) * (_TREE_LISTED if frame.listed else 1.0)
     else:
         cost = lights * (_BRUTE_PAIR * n * t + _BRUTE_RAY * n)
     return (cost + _whatever_is_found(names, frame)) * 1e-6
@@ -69,13 +74,20 @@ def counted(names: Names, frame: Situation, counters: Mapping[str, int]) -> floa
     """Milliseconds by what a frame has counted, of all its lights."""
     n, nodes, tests = frame.rays * frame.lights, counters["nodes_visited"], counters["leaf_tests"]
     if names == LIGHT_GRID:
-        cost = _GRID_RAY * n + _GRID_BOX * nodes + _GRID_ENTRY * counters["entries"]
+        ray = _GRID_RAY + _GRID_LISTED * frame.listed
+        cost = ray * n + _GRID_BOX * nodes + _GRID_ENTRY * counters["entries"]
     elif names == MESH_BVH:
         far = max(math.log2(max(frame.triangles, 1)) - _TREE_NEAR, 0.0)
-        cost = _TREE_RAY * n + (_TREE_NODE + _TREE_FAR * far) * nodes + _TREE_TEST * tests
+        walk = (_TREE_NODE + _TREE_FAR * far) * nodes + _TREE_TEST * tests
+        cost = _TREE_RAY * n + walk * (_TREE_LISTED if frame.listed else 1.0)
     else:
         cost = _BRUTE_RAY * n + _BRUTE_TEST * tests
     return (cost + _whatever_is_found(names, frame)) * 1e-6
+
+
+def catching_up(names: Names, frame: Situation) -> float:
+    """Milliseconds to make what a candidate has not made yet of a scene that rests."""
+    return _TREE_BUILT * frame.triangles * 1e-6 if names == MESH_BVH else 0.0
 
 
 def _whatever_is_found(names: Names, frame: Situation) -> float:

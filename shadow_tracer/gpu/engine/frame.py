@@ -131,13 +131,13 @@ class FrameTracer:
         """Names of the pipelines that may trace a frame: several if one of them is chosen each time."""
         return frozenset(name for name, _ in self._bands_of)
 
-    def _choose(self, change: int, rays: int, lights: Sequence[Light]) -> Situation | None:
+    def _choose(self, change: int, rays: int, lights: Sequence[Light], listed: bool = False) -> Situation | None:
         """Hand the frame to the pipeline that is expected to be the fastest."""
         if self._chooser is None:
             return None
         look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, AreaLight))
         count = sum(light.samples if isinstance(light, AreaLight) else 1 for light in lights)
-        situation = Situation(change, rays, self._scene.live_triangles, count, look != self._lights)
+        situation = Situation(change, rays, self._scene.live_triangles, count, look != self._lights, listed)
         self._lights = look
         bands = self._bands_of[self._chooser.choose(situation)]
         if bands is not self._bands:
@@ -215,7 +215,7 @@ class FrameTracer:
         is all valid; ``cull`` as for ``trace_depth``."""
         self._begin_frame(cull)
         with self.stages.stage("upload"):
-            situation = self._choose(self._sync(scene), len(points), lights)
+            situation = self._choose(self._sync(scene), len(points), lights, True)
             bands = self._working(len(points))
             working = deal(bands, even_bands(len(points), len(bands)), 0)
             before, self._anchor = self._anchor, None  # that of samples that are there, or none
