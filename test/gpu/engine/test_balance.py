@@ -43,6 +43,37 @@ def test_cuts_settle_where_bands_take_equally_long(bands: int) -> None:
     assert len(set(spread[-20:])) == 1, "they rest once they are good enough"
 
 
+@pytest.mark.parametrize("bands", [2, 3])
+@pytest.mark.parametrize("where", [0.3, 0.45, 0.5, 0.7])
+def test_a_few_rows_with_much_of_the_work_are_cut_through(where: float, bands: int) -> None:
+    """A cut does not jump to and fro over them."""
+    balance, depth = Balance(bands), _depth()
+    row = np.arange(256) / 256
+    work = np.where(abs(row - where) < 0.06, 30.0, 1.0)
+    spread = []
+    for _ in range(48):
+        cuts = balance.cut(depth, depth.size)
+        times = [work[first // 256 : end // 256].sum() for first, end in cuts]
+        spread.append(max(times) / np.mean(times))
+        balance.learn(times)
+    assert spread[-1] < 1.04 + 4 * 30.0 / (work.sum() / bands) and len(set(spread[-12:])) == 1
+
+
+def test_what_was_found_of_another_image_misleads_nobody() -> None:
+    """The work moves to the other half, again and again: the first cut after that goes there."""
+    balance, depth = Balance(2), _depth()
+    row = np.arange(256) / 256
+    for where in (0.3, 0.7, 0.2, 0.8, 0.5):
+        work = np.where(abs(row - where) < 0.06, 30.0, 1.0)
+        cuts = [_rows(balance.cut(depth, depth.size))[0]]
+        for _ in range(40):
+            balance.learn([work[: cuts[-1]].sum(), work[cuts[-1] :].sum()])
+            cuts.append(_rows(balance.cut(depth, depth.size))[0])
+        moved = [cut for cut in cuts if cut != cuts[0]]
+        assert (moved[0] > cuts[0]) == (where * 256 > cuts[0])
+        assert len(set(cuts[-8:])) == 1 and abs(work[: cuts[-1]].sum() - 0.5 * work.sum()) <= 4 * 30.0
+
+
 def test_the_first_moves_are_quick_and_further_ones_take_a_median() -> None:
     balance, depth = Balance(2), _depth()
 
