@@ -22,6 +22,7 @@ import argparse
 import json
 import os
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -71,18 +72,38 @@ _MEANING = {
 }
 
 
-def run(settings: Settings, sections: list[str], quiet: bool = False, stages: bool = False) -> dict[str, Any]:
-    """Measure; returns per section its ``rows``, what was ``left_out``, and its ``seconds``."""
-    found = {}
+def run(
+    settings: Settings,
+    sections: list[str],
+    quiet: bool = False,
+    stages: bool = False,
+    keep: Callable[[dict[str, Any]], None] = lambda found: None,
+) -> dict[str, Any]:
+    """Measure; returns per section its ``rows``, what was ``left_out``, and its ``seconds``. After each section all
+    that there is goes to ``keep``: an error in a later one loses nothing.
+    """
+    found: dict[str, Any] = {}
     saved = 0.0
     for section in sections:
         clock = Clock(section, settings.budget[section] + saved, quiet)
         rows = _RUN[section](settings, clock)
         saved = max(clock.seconds - clock.spent, 0.0)
         found[section] = {"rows": rows, "left_out": clock.left_out, "seconds": clock.spent}
+        keep(found)
         if not quiet:
             show(section, found[section], stages)
     return found
+
+
+def write(path: Path, results: dict[str, Any]) -> None:
+    """Write a file, or leave it as it was: whoever reads it sees the whole of one or of the other."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        part.write_text(json.dumps(results, indent=1) + "\n")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def show(section: str, found: dict[str, Any], stages: bool) -> None:
@@ -148,17 +169,21 @@ def main() -> None:
     print(threads(options.threads))
     for peer, why in missing().items():
         note(f"{peer} takes no part, it cannot be imported: {why}")
-    found = run(settings, options.sections, stages=options.stages)
-    reached = suite_targets.targets({section: result["rows"] for section, result in found.items()})
-    if reached:
+    results = {"title": title, "machine": machine(), "threads": options.threads, "settings": asdict(settings)}
+    results["absent"] = missing()
+
+    def keep(found: dict[str, Any]) -> None:
+        reached = suite_targets.targets({section: result["rows"] for section, result in found.items()})
+        results.update(sections=found, targets=reached)
+        if options.out:
+            write(options.out / "results.json", results)
+
+    run(settings, options.sections, stages=options.stages, keep=keep)
+    if results["targets"]:
         print("\n## Targets\n")
-        table(reached)
+        table(results["targets"])
     print(f"\n{time.perf_counter() - begin:.0f} s in all")
     if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        results = {"title": title, "machine": machine(), "threads": options.threads, "settings": asdict(settings)}
-        results |= {"absent": missing(), "sections": found, "targets": reached}
-        (options.out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
         try:
             import plots
         except ImportError as error:

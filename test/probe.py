@@ -19,9 +19,10 @@ from shadow_tracer import DepthCamera, Frame, ShadowTracer, depth_camera
 
 if TYPE_CHECKING:  # what lies in gpu is imported when conftest.py has chosen the form
     from shadow_tracer.gpu.accelerators.interface import Accelerator, Context
-    from shadow_tracer.gpu.engine.automatic import Chooser, Names
+    from shadow_tracer.gpu.engine.automatic import Chooser
     from shadow_tracer.gpu.engine.band import Band
     from shadow_tracer.gpu.engine.bands import Balance
+    from shadow_tracer.gpu.engine.costs import Names
     from shadow_tracer.gpu.exact.light_frame import Anchor
     from shadow_tracer.gpu.occluders.world import SceneBuffers
 

@@ -320,6 +320,40 @@ def test_the_program_writes_figures_and_plots(tmp_path: Path) -> None:
     assert picture.read_bytes()[:4] == b"\x89PNG" and picture.stat().st_size < 256 * 1024
 
 
+def test_an_error_loses_no_section_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are written after each section, whole: a reader never meets half a file, nor an error a lost one."""
+    seen: list[list[str]] = []
+    out = tmp_path / "new" / "results.json"
+
+    def section(name: str, error: Exception | None = None) -> Any:
+        def measure(settings: Settings, clock: Clock) -> list[dict[str, Any]]:
+            seen.append(list(json.loads(out.read_text())["sections"]) if out.exists() else [])
+            if error:
+                raise error
+            return []
+
+        return measure
+
+    monkeypatch.setattr(
+        suite,
+        "_RUN",
+        {"scenes": section("scenes"), "rays": section("rays"), "lights": section("lights", ValueError("17 lights"))},
+    )
+    monkeypatch.setattr(sys, "argv", ["suite.py", "--out", str(out.parent), "--sections", "scenes", "rays", "lights"])
+    with pytest.raises(ValueError, match="17 lights"):
+        suite.main()
+    assert seen == [[], ["scenes"], ["scenes", "rays"]]
+    assert list(json.loads(out.read_text())["sections"]) == ["scenes", "rays"]
+    assert [path.name for path in out.parent.iterdir()] == ["results.json"]
+
+
+def test_what_cannot_be_written_leaves_the_file_as_it_was(tmp_path: Path) -> None:
+    suite.write(tmp_path / "results.json", {"sections": {}})
+    with pytest.raises(TypeError):
+        suite.write(tmp_path / "results.json", {"sections": object()})
+    assert [json.loads(path.read_text()) for path in tmp_path.iterdir()] == [{"sections": {}}]
+
+
 @pytest.mark.slow
 def test_plots_of_all_sections_are_small(tmp_path: Path) -> None:
     plots = pytest.importorskip("plots", reason="plots need matplotlib")

@@ -120,6 +120,12 @@ class Workers:
         return self._inboxes[number]
 
 
+def one_after_the_other(jobs: Sequence[Job]) -> None:
+    """Do all jobs in this thread."""
+    for job in jobs:
+        job()
+
+
 def _serve(inbox: SimpleQueue[tuple[_Turn, int] | None]) -> None:
     while (task := inbox.get()) is not None:
         turn, number = task

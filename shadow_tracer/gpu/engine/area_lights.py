@@ -88,9 +88,9 @@ def _each(run: Run, working: Sequence[Band], ask: Callable[..., _Found], *argume
     found: dict[Band, _Found] = {}
 
     def job(band: Band) -> None:
-        begin = time.perf_counter()
+        begin = time.thread_time()
         found[band] = ask(band, *arguments)
-        band.busy += time.perf_counter() - begin
+        band.busy += time.thread_time() - begin
 
     run([partial(job, band) for band in working])
     return [found[band] for band in working]

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pipeline ``auto``: which pipeline is the fastest for the frame at hand, by what frames have cost on this device.
+"""Pipeline ``auto``: which pipeline is the fastest for the frame at hand, by what frames have cost.
 
-Each candidate has a rough law of its cost: for n rays, T triangles and L lights
+Each candidate has a rough law of its cost (``costs.py``). The law is multiplied by a factor that is learned: for each
+kind of frame (what has changed, and the numbers of rays, triangles and lights to a power of two) the ratio of found and
+lawful cost, a running mean over the frames that the candidate traced; for a kind of which it has traced none, the
+factor of the nearest kind it has. Before any, that of :meth:`Chooser.calibrated`, or 1, times what other candidates
+have been found to take of this kind, in parts of what they should, to the power of 0.7: what is hard for one mostly is
+for all.
 
-    light_grid    L (a n + b T), and g T where boxes are to be made
-    mesh_bvh      L e n log2 T, and d T where its tree is to be built or refitted, and L c T where records are
-    brute_force   L f n T
-
-The law is multiplied by a factor that is learned: for each kind of frame (what has changed, and n, T and L to a power
-of two) the ratio of measured and lawful cost, a running mean over the frames that the candidate traced; for a kind of
-which it has traced none, the factor of the nearest kind it has. Before any, that of :meth:`Chooser.calibrated`, or 1,
-times what other candidates have been found to take of this kind, in parts of what they should, to the power of 0.7:
-what is hard for one mostly is for all, and a busy machine always.
+On the CPU the cost of a frame is found by what it has counted, so that the same frames are always traced by the same
+pipelines; of lights with a size, whose bundles count otherwise, and on CUDA, where nothing has been fitted yet, it is
+what a clock says (``frame.py``).
 
 The least expected cost wins; the current pipeline is kept until another is expected to take 15 percent less: changing
 costs a frame in which things are made again. A candidate that is better than thought would never show it, so a near
@@ -30,21 +29,9 @@ No Warp here.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from shadow_tracer.gpu.engine.costs import BRUTE_FORCE, LIGHT_GRID, MESH_BVH, Names, Situation, catching_up, lawful
 
-Names = tuple[str, str]
-
-LIGHT_GRID: Names = ("light_grid", "packed")
-MESH_BVH: Names = ("mesh_bvh", "refit")
-BRUTE_FORCE: Names = ("brute_force", "filtered")
 CANDIDATES = (LIGHT_GRID, MESH_BVH, BRUTE_FORCE)
-
-# Nanoseconds on one core of a Xeon of 2020; only their ratios matter before anything has been measured.
-_RAY, _TRIANGLE, _BOX, _RECORD = 90.0, 40.0, 8.0, 45.0
-_BUILD, _REFIT, _STEP = 350.0, 60.0, 18.0
-_PAIR = 0.9
-_OVERHEAD = 0.3e6
 
 _ADVANTAGE = 0.85  # another is taken if it is expected to take less than this share of the present one's time
 _NEAR, _NEAR_AT_REST = 1.5, 2.0  # a second within this is tried
@@ -55,43 +42,6 @@ _ALIKE = 0.7  # power of what a kind of frame takes more than the law has it, fo
 _NEIGHBOUR = 3  # distance of kinds that are taken for each other
 
 
-@dataclass(frozen=True)
-class Situation:
-    """What the cost of a frame depends on.
-
-    Attributes:
-        change: 0 nothing, 1 positions, 2 triangles of the scene have changed since the frame before.
-        rays, triangles, lights: their numbers.
-        new_lights: whether lights or their frame have changed.
-    """
-
-    change: int
-    rays: int
-    triangles: int
-    lights: int
-    new_lights: bool = False
-
-    @property
-    def kind(self) -> tuple[int, ...]:
-        """Situations that are taken for the same."""
-        sizes = (self.rays, self.triangles, self.lights)
-        return (self.change, *(max(size, 1).bit_length() for size in sizes), int(self.new_lights))
-
-
-def lawful(names: Names, frame: Situation) -> float:
-    """Milliseconds by the rough law."""
-    n, t, lights = frame.rays, max(frame.triangles, 1), frame.lights
-    if names == LIGHT_GRID:
-        cost = lights * (_RAY * n + _TRIANGLE * t) + (_BOX * t if frame.change > 0 else 0.0)
-    elif names == MESH_BVH:
-        build = (0.0, _REFIT, _BUILD)[frame.change] * t
-        fresh = frame.change > 0 or frame.new_lights
-        cost = build + lights * (_STEP * n * math.log2(t + 1) + (_RECORD * t if fresh else 0.0))
-    else:
-        cost = lights * (_PAIR * n * t + _RAY * n / 4)
-    return (cost + _OVERHEAD) * 1e-6
-
-
 class Chooser:
     """Chooses among the candidates, and learns from what they took."""
 
@@ -99,9 +49,10 @@ class Chooser:
         self.candidates = candidates
         self.forced: Names | None = None
         self._chosen = candidates[0]
-        self._reason = "nothing has been traced yet"
+        self._why: tuple[str, dict[Names, float]] | None = None
         self._base: dict[Names, float] = {}
         self._factors: dict[Names, dict[tuple[int, ...], float]] = {names: {} for names in candidates}
+        self._nearest: dict[tuple[Names, tuple[int, ...]], tuple[int, ...]] = {}  # looking takes as long as a launch
         self._frames: dict[tuple[int, ...], int] = {}
         self._trial: dict[tuple[int, ...], int] = {}
         self._on_trial: dict[tuple[int, ...], Names] = {}
@@ -115,7 +66,11 @@ class Chooser:
     @property
     def reason(self) -> str:
         """Why, in words."""
-        return self._reason
+        if self._why is None:
+            return "nothing has been traced yet" if self.forced is None else "asked for"
+        why, costs = self._why
+        others = ", ".join(f"{'/'.join(names)} {costs[names]:.3g}" for names in costs if names != self._chosen)
+        return f"{'/'.join(self._chosen)}: {why} {costs[self._chosen]:.3g} ms ({others})"
 
     def expected(self, names: Names, frame: Situation) -> float:
         """Milliseconds that a candidate is expected to take."""
@@ -124,7 +79,7 @@ class Chooser:
     def choose(self, frame: Situation) -> Names:
         """The candidate for a frame."""
         if self.forced is not None:
-            self._chosen, self._reason = self.forced, "asked for"
+            self._chosen, self._why = self.forced, None
             return self._chosen
         costs = {names: self.expected(names, frame) for names in self.candidates}
         ranking = sorted(self.candidates, key=costs.__getitem__)
@@ -135,17 +90,18 @@ class Chooser:
         number = self._frames[frame.kind] = self._frames.get(frame.kind, 0) + 1
         tried = self._second_to_try(frame, ranking, costs, best, number)
         self._chosen, self._trying = tried or best, tried is not None
-        others = ", ".join(f"{'/'.join(names)} {costs[names]:.3g}" for names in ranking if names != self._chosen)
         why = "tried, as it may be better than thought; expected" if tried else "expected"
-        self._reason = f"{'/'.join(self._chosen)}: {why} {costs[self._chosen]:.3g} ms ({others})"
+        self._why = why, {names: costs[names] for names in ranking}
         return self._chosen
 
     def learn(self, names: Names, frame: Situation, milliseconds: float) -> None:
-        """A frame has taken so long. Frames in which a candidate had to catch up with the scene, or was new, or loaded
-        kernels, are not told."""
+        """A frame has cost so much. By the clock those are not told in which a candidate had to catch up with the
+        scene, or was new, or loaded kernels."""
         ratio = milliseconds / lawful(names, frame)
         known = self._factors[names]
         before = known.get(frame.kind)
+        if before is None:
+            self._nearest.clear()
         # The first is often slower than those that follow; and a single slow frame says little.
         known[frame.kind] = ratio if before is None else before + _MEMORY * (min(ratio, 3.0 * before) - before)
         if len(known) > 512:
@@ -161,7 +117,7 @@ class Chooser:
             return found
         base, known = self._base.get(names), self._factors[names]
         if base is None and known:
-            return known[min(known, key=lambda other: _distance(other, kind))]
+            return known[self._nearest_of(names, kind)]
         learned = ((one, self._learned(one, kind)) for one in self.candidates)
         harder = [factor / self._base.get(one, 1.0) for one, factor in learned if factor is not None]
         return (1.0 if base is None else base) * (min(harder) ** _ALIKE if harder else 1.0)
@@ -171,14 +127,30 @@ class Chooser:
         known = self._factors[names]
         if kind in known or not known:
             return known.get(kind)
-        nearest = min(known, key=lambda other: _distance(other, kind))
+        nearest = self._nearest_of(names, kind)
         return known[nearest] if _distance(nearest, kind) <= _NEIGHBOUR else None
+
+    def _nearest_of(self, names: Names, kind: tuple[int, ...]) -> tuple[int, ...]:
+        """The kind that a candidate has traced which is most like this one."""
+        found = self._nearest.get((names, kind))
+        if found is None:
+            found = min(self._factors[names], key=lambda other: _distance(other, kind))
+            if len(self._nearest) > 512:
+                self._nearest.clear()
+            self._nearest[names, kind] = found
+        return found
 
     def _second_to_try(
         self, frame: Situation, ranking: list[Names], costs: dict[Names, float], best: Names, number: int
     ) -> Names | None:
-        due = self._trial.setdefault(frame.kind, _FIRST_TRIAL if frame.change else _TRIAL_AT_REST)
-        if number < due or len(ranking) < 2:
+        if len(ranking) < 2:
+            return None
+        due = self._trial.get(frame.kind)
+        if due is None:
+            # At rest not before as much has been spent on frames as the second takes to be made.
+            made = max(catching_up(names, frame) for names in ranking if names != best) / costs[best]
+            due = self._trial[frame.kind] = _FIRST_TRIAL if frame.change else max(_TRIAL_AT_REST, int(made))
+        if number < due:
             return None
         if number == due:
             second = self._on_trial[frame.kind] = next(names for names in ranking if names != best)

@@ -42,7 +42,7 @@ class Band:
         names: pipeline and variant.
         pipeline: it.
         followed: the revision of the scene that the pipeline has followed last, None if there is none yet.
-        busy: seconds that a frame's rays have taken, set to zero by whoever begins one.
+        busy: seconds of a processor that a frame's rays have taken, set to zero by whoever begins one.
     """
 
     def __init__(self, context: Context, pipeline: str, variant: str, keep: bool = False) -> None:
@@ -215,6 +215,13 @@ class Band:
         samples = self.samples
         states = samples.views(samples.states_of(0, lights)).reshape(lights, samples.count)
         into[:, samples.first : samples.first + samples.count] = states
+
+
+def deal(bands: Sequence[Band], cuts: Sequence[tuple[int, int]], width: int) -> list[Band]:
+    """Tell each band its samples; returns those that have any."""
+    for band, (first, end) in zip(bands, cuts, strict=True):
+        band.samples.set_samples(end - first, width, first)
+    return [band for band in bands if band.samples.count]
 
 
 def _bundle(points: FloatArray) -> tuple[wp.vec4d, wp.vec3d, FloatArray]:

@@ -2,25 +2,31 @@
 """Bands of the samples of a frame: how many, and where they begin. No Warp here.
 
 A frame is done when its slowest band is. Equal numbers of measurements are not equal work: one half of an image may
-look into the sky. So bands of an image are cut where those of the frames before have taken equally long. The answer
-does not depend on where the cuts are.
+look into the sky. So bands of an image are cut where those of the frames before have taken equally long, in time of the
+processor: how long a thread has waited for one says nothing of its rows. The answer does not depend on where the cuts
+are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.scene.bounds import Bounds
+
+_Names = TypeVar("_Names")
+_Row = npt.NDArray[np.float64]
 
 # Fewer samples for each band are not worth a thread.
 LEAST = 16384
 _WORTH = 0.04  # of a frame's time: cuts are not moved for less, as some of what is kept is made again for others
 _QUICK = 2  # moves after one frame each, to begin with
 _FRAMES = 4  # frames of which the median counts for all further moves
+_ELSEWHERE = 0.004  # parts of all measurements: cuts that differ less are at the same row, of another image
 _FARTHEST = 0.3  # parts of an even band that a cut is moved at once, should a time have been an accident
 
 
@@ -77,6 +83,8 @@ class Balance:
         self._wanted = np.arange(1, bands) / bands
         self._edges: list[float] = []
         self._times: list[list[float]] = []
+        self._last: tuple[_Row, _Row] | None = None  # cuts, and which part of the work lay above each
+        self._before: tuple[_Row, _Row] | None = None  # the same of other cuts
         self._moves = 0
 
     def cut(self, depth: np.ndarray, room: int) -> list[tuple[int, int]]:
@@ -93,9 +101,28 @@ class Balance:
         self._times = []
         if took.max() <= (1.0 + _WORTH) * took.mean():
             return
-        # As if the work of each band were spread evenly over it.
-        done = np.cumsum([0.0, *took]) / took.sum()
-        ideal = np.interp(np.arange(1, self._count) / self._count, done, [0.0, *self._edges, 1.0])
+        done = np.cumsum(took[:-1]) / took.sum()
+        ideal = np.interp(np.arange(1, self._count) / self._count, *self._work(np.asarray(self._edges), done))
         farthest = _FARTHEST / self._count
         self._wanted = np.clip(ideal, np.asarray(self._edges) - farthest, np.asarray(self._edges) + farthest)
         self._moves += 1
+
+    def _work(self, edges: _Row, done: _Row) -> tuple[_Row, _Row]:
+        """Which parts of the work lie above where, ascending, as if it were spread evenly in between: those of the cuts
+        that have been tried now, and of the last ones that were others. By one cut alone the next jumps to and fro over
+        a few rows that have much of the work."""
+        if self._last is not None and np.abs(self._last[0] - edges).max() > _ELSEWHERE:
+            self._before = self._last
+        self._last, before = (edges, done), self._before
+        if before is None:
+            return np.r_[0.0, done, 1.0], np.r_[0.0, edges, 1.0]
+        # What was found before may be of another image: what has been found now holds.
+        place = np.searchsorted(edges, before[0])
+        above = np.clip(before[1], np.r_[0.0, done][place], np.r_[done, 1.0][place])
+        at, first = np.unique(np.r_[0.0, edges, 1.0, before[0]], return_index=True)
+        return np.r_[0.0, done, 1.0, above][first], at
+
+
+def balances(bands_of: Mapping[_Names, Sequence[Any]]) -> dict[_Names, Balance]:
+    """Of each pipeline that has several bands one that has learned nothing yet."""
+    return {names: Balance(len(bands)) for names, bands in bands_of.items() if len(bands) > 1}

@@ -9,7 +9,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from shadow_tracer.gpu.engine.automatic import BRUTE_FORCE, Chooser, Situation
+from shadow_tracer.gpu.engine.automatic import Chooser
+from shadow_tracer.gpu.engine.costs import BRUTE_FORCE, Situation
 from shadow_tracer.scene.bias import Bias
 from shadow_tracer.scene.bounds import Bounds
 from shadow_tracer.scene.camera import Camera

@@ -23,9 +23,10 @@ from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import can_record, end_recording
 from shadow_tracer.gpu.device.seats import Seat
 from shadow_tracer.gpu.device.workers import Workers
-from shadow_tracer.gpu.engine.automatic import Chooser, Names
+from shadow_tracer.gpu.engine.automatic import Chooser
 from shadow_tracer.gpu.engine.bands import band_count
 from shadow_tracer.gpu.engine.calibration import calibrate
+from shadow_tracer.gpu.engine.costs import Names
 from shadow_tracer.gpu.engine.frame import FrameTracer, Kind, Loaded, kinds_of
 from shadow_tracer.gpu.engine.gather import Traced
 from shadow_tracer.gpu.occluders.world import SceneBuffers
@@ -198,9 +199,11 @@ class Engine:
         return self._chooser
 
     def calibrate(self) -> None:
-        """Let the chooser see what its candidates take on this device."""
-        if self._chooser is not None:
+        """Let the chooser see what its candidates take on this device, where they are not compared by counts."""
+        if self._chooser is not None and not forms.wide(self.device):
             calibrate(self, self._chooser, self.bounds)
+            # That was another image: where it lies and is cut must not matter to those that come.
+            self._whole(lambda inside: inside.tracers[0].forget())
 
     @property
     def verifier(self) -> str | None:

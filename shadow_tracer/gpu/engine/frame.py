@@ -17,12 +17,13 @@ from shadow_tracer.gpu.accelerators.registry import side_by_side
 from shadow_tracer.gpu.device import forms
 from shadow_tracer.gpu.device.graphs import FrameGraphs
 from shadow_tracer.gpu.device.stages import Stages
-from shadow_tracer.gpu.device.workers import Job, Workers
+from shadow_tracer.gpu.device.workers import Workers, one_after_the_other
 from shadow_tracer.gpu.engine.apart import Apart, trace_beside
 from shadow_tracer.gpu.engine.area_lights import Run, trace_area_lights
-from shadow_tracer.gpu.engine.automatic import Chooser, Names, Situation
-from shadow_tracer.gpu.engine.band import Band
-from shadow_tracer.gpu.engine.bands import LEAST, Balance, even_bands
+from shadow_tracer.gpu.engine.automatic import Chooser
+from shadow_tracer.gpu.engine.band import Band, deal
+from shadow_tracer.gpu.engine.bands import LEAST, balances, even_bands
+from shadow_tracer.gpu.engine.costs import Names, Situation, counted
 from shadow_tracer.gpu.engine.gather import Traced, gather_counters, gather_stages, gather_states
 from shadow_tracer.gpu.exact import light_frame
 from shadow_tracer.gpu.exact.light_frame import Anchor, make_light_frame
@@ -110,15 +111,17 @@ class FrameTracer:
     def take(self, chooser: Chooser | None, bands_of: dict[Names, list[Band]]) -> None:
         """Use other bands from the next frame on; the old ones are freed."""
         self._chooser, self._bands_of, self._bands = chooser, bands_of, next(iter(bands_of.values()))
-        self._balances = {names: Balance(len(bands)) for names, bands in bands_of.items() if len(bands) > 1}
+        self._balances = balances(bands_of)
         self._apart = Apart(self.device, self._use_graphs)
         self._samples.forget()
         self._graphs.clear()
         self._context.records.forget()
 
     def forget(self) -> None:
-        """Make everything again in the next frame."""
+        """Make everything again in the next frame, as if it were the first."""
         self._samples.make_again()
+        self._anchor = None
+        self._balances = balances(self._bands_of)
         self._context.records.forget()
         for band in self._all_bands():
             band.pipeline.forget()
@@ -128,13 +131,13 @@ class FrameTracer:
         """Names of the pipelines that may trace a frame: several if one of them is chosen each time."""
         return frozenset(name for name, _ in self._bands_of)
 
-    def _choose(self, change: int, rays: int, lights: Sequence[Light]) -> Situation | None:
+    def _choose(self, change: int, rays: int, lights: Sequence[Light], listed: bool = False) -> Situation | None:
         """Hand the frame to the pipeline that is expected to be the fastest."""
         if self._chooser is None:
             return None
         look = tuple(tuple(light.homogeneous) for light in lights if not isinstance(light, AreaLight))
         count = sum(light.samples if isinstance(light, AreaLight) else 1 for light in lights)
-        situation = Situation(change, rays, self._scene.live_triangles, count, look != self._lights)
+        situation = Situation(change, rays, self._scene.live_triangles, count, look != self._lights, listed)
         self._lights = look
         bands = self._bands_of[self._chooser.choose(situation)]
         if bands is not self._bands:
@@ -143,10 +146,14 @@ class FrameTracer:
             self._bands = bands
         return situation
 
-    def _learn(self, situation: Situation | None, begin: float) -> None:
-        """Tell the chooser what the frame took."""
-        if situation is not None and self._chooser is not None:
-            self._chooser.learn(self._bands[0].names, situation, (time.perf_counter() - begin) * 1e3)
+    def _learn(self, frame: Situation, lights: Sequence[Light], traced: Traced, begin: float | None = None) -> None:
+        """Tell the chooser what a frame cost: by its counts where these say it, else since when, if that is known."""
+        assert self._chooser is not None
+        names = self._bands[0].names
+        if forms.wide(self.device) and not light_points.is_soft(lights):
+            self._chooser.learn(names, frame, counted(names, frame, traced.counters))
+        elif begin is not None:
+            self._chooser.learn(names, frame, (time.perf_counter() - begin) * 1e3)
 
     def _part(self, number: int, bands: int) -> Context:
         """The context of a band; the only one works on the whole."""
@@ -179,12 +186,13 @@ class FrameTracer:
             working = [band for band in bands if band.samples.count]
             new = not self._samples.has_depth(self._sets(working), depth, camera, bias)
             if new:  # else the cuts stay where they are, and with them all that is kept of the rays
-                working = _deal(bands, self._cut(bands, depth), camera.width)
+                working = deal(bands, self._cut(bands, depth), camera.width)
                 self._samples.put_depth(self._sets(working), depth, camera, bias)
         self._anchor = depth_anchor(depth, camera, bias, self._anchor)
         caught_up = all(band.followed == before for band in working)
         traced = self._trace_all(working, lights, Source.of(depth, bias) if new else None)
-        self._learn(situation if caught_up and not self._cold else None, begin)
+        if situation:
+            self._learn(situation, lights, traced, begin if caught_up and not self._cold else None)
         if new and not self._cold and len(bands) > 1:
             self._balances[bands[0].names].learn([band.busy for band in bands])
         return traced
@@ -207,13 +215,16 @@ class FrameTracer:
         is all valid; ``cull`` as for ``trace_depth``."""
         self._begin_frame(cull)
         with self.stages.stage("upload"):
-            self._choose(self._sync(scene), len(points), lights)
+            situation = self._choose(self._sync(scene), len(points), lights, True)
             bands = self._working(len(points))
-            working = _deal(bands, even_bands(len(points), len(bands)), 0)
+            working = deal(bands, even_bands(len(points), len(bands)), 0)
             before, self._anchor = self._anchor, None  # that of samples that are there, or none
             known = self._samples.put_points(self._sets(working), points, bias, valid)
         self._anchor = before if known and before else points_anchor(points, valid, bias, before)
-        return self._trace_all(working, lights, None)
+        traced = self._trace_all(working, lights, None)
+        if situation:
+            self._learn(situation, lights, traced)
+        return traced
 
     def _begin_frame(self, cull: bool) -> None:
         """Reset the times of all stages."""
@@ -343,7 +354,7 @@ class FrameTracer:
 
             def launch() -> None:
                 records.expect(stale)
-                self._run(working, passes, source, _one_after_the_other, hidden, load)
+                self._run(working, passes, source, one_after_the_other, hidden, load)
 
             with self.stages.stage("graph"), self.stages.paused():
                 key = (*key, records.front_face_culling, *map(bool, stale))
@@ -354,7 +365,7 @@ class FrameTracer:
 
     def _runner(self, working: Sequence[Band], loaded: bool) -> Run:
         """Who does the jobs of the bands; ``loaded``: all kernels that they launch."""
-        return self._workers.run if loaded and len(working) > 1 else _one_after_the_other
+        return self._workers.run if loaded and len(working) > 1 else one_after_the_other
 
     def _launched(self, kernels: Loaded) -> None:
         """These are loaded."""
@@ -392,7 +403,7 @@ class FrameTracer:
             working[0].aim(rays.lights)
 
             def job(band: Band, rays: Rays = rays, first: bool = number == 0) -> None:
-                begin = time.perf_counter()
+                begin = time.thread_time()
                 if first:
                     band.begin(source)
                 band.project(rays, not hidden)
@@ -400,21 +411,9 @@ class FrameTracer:
                     band.trace(rays)
                 elif load:
                     band.trace_uncounted(rays)
-                band.busy += time.perf_counter() - begin
+                band.busy += time.thread_time() - begin
 
             run([partial(job, band) for band in working])
         if self._planes:
             with self.stages.stage("download"):
                 self._planes.pack(sum(len(rays.lights) for rays in passes))
-
-
-def _deal(bands: Sequence[Band], cuts: Sequence[tuple[int, int]], width: int) -> list[Band]:
-    """Tell each band its samples; returns those that have any."""
-    for band, (first, end) in zip(bands, cuts, strict=True):
-        band.samples.set_samples(end - first, width, first)
-    return [band for band in bands if band.samples.count]
-
-
-def _one_after_the_other(jobs: Sequence[Job]) -> None:
-    for job in jobs:
-        job()

@@ -22,9 +22,11 @@ from shadow_tracer.gpu.exact.light_frame import LightFrame, look
 from shadow_tracer.scene.checks import FloatArray
 from shadow_tracer.scene.lights import AreaLight, HardLight, Light
 
-# A pair takes 0.3 ns with AVX-512, 0.4 with AVX2, and a point 10; all the rest 40 us. ``light_grid`` takes 200 us more
-# and 35 ns a point. (docs/performance.md, "A call about few rays"; counts decide, so that no time ever does.)
-MOST_PAIRS = 750_000
+# A pair takes 0.28 ns with AVX-512, 0.40 with AVX2, a point 16; all the rest 70 us. ``light_grid`` takes 330 us more,
+# and 60 ns a triangle as long as these are few: as much as 150 pairs. (docs/performance.md, "A call about few rays";
+# counts decide, so that no time ever does.)
+MOST_PAIRS = 1_150_000
+_PAIRS_OF_A_TRIANGLE, _OF_TRIANGLES = 150, 4_000
 MOST_POINTS = 32_767  # of more, two threads may each have 16,384
 
 
@@ -70,7 +72,8 @@ def ask_every_pair(
 def are_few(points: int, triangles: int, lights: Sequence[Light]) -> bool:
     """Whether to ask about every pair takes less time than anything else, and can be done: lights are hard, and all
     meshes cast shadows in them."""
-    few = 0 < points <= MOST_POINTS and 0 < points * triangles * len(lights) <= MOST_PAIRS
+    most = MOST_PAIRS + _PAIRS_OF_A_TRIANGLE * min(triangles, _OF_TRIANGLES)
+    few = 0 < points <= MOST_POINTS and 0 < points * triangles * len(lights) <= most
     return few and not any(light.ignore or isinstance(light, AreaLight) for light in lights)
 
 

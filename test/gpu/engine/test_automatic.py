@@ -3,25 +3,22 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from dataclasses import replace
 from typing import Any
 
+import geometry
 import numpy as np
 import probe
 import pytest
 import views
+import warp as wp
 
-from shadow_tracer import Bounds, ShadowTracer
-from shadow_tracer.gpu.engine.automatic import (
-    BRUTE_FORCE,
-    CANDIDATES,
-    LIGHT_GRID,
-    MESH_BVH,
-    Chooser,
-    Names,
-    Situation,
-    lawful,
-)
+from shadow_tracer import Bounds, Camera, PointLight, ShadowTracer
+from shadow_tracer.gpu.device import forms
+from shadow_tracer.gpu.engine.automatic import CANDIDATES, Chooser
+from shadow_tracer.gpu.engine.costs import BRUTE_FORCE, LIGHT_GRID, MESH_BVH, Names, Situation, counted, lawful
 
 _MOVING = Situation(1, 262_144, 70_000, 1, True)
 _BOUNDS = Bounds(max_triangles=8192, max_rays=65536, max_lights=8, queue_capacity=65536, grid_entries=65536)
@@ -45,10 +42,11 @@ def test_the_law_knows_what_is_good_for_what() -> None:
 
     assert best(_MOVING) == LIGHT_GRID
     assert best(Situation(0, 4096, 1_000_000, 1)) == MESH_BVH, "few rays, many triangles that rest"
-    assert best(Situation(2, 262_144, 12, 1)) == BRUTE_FORCE, "hardly any triangles"
     for names in CANDIDATES:
         more = replace(_MOVING, rays=2 * _MOVING.rays), replace(_MOVING, triangles=2 * _MOVING.triangles)
         assert all(lawful(names, other) > lawful(names, _MOVING) for other in (*more, replace(_MOVING, lights=3)))
+    listed = Situation(0, 100_000, 1_000_000, 1, listed=True)
+    assert best(listed) == LIGHT_GRID and best(replace(listed, listed=False)) == MESH_BVH, "points in any order"
 
 
 @pytest.mark.parametrize("fastest", CANDIDATES, ids="/".join)
@@ -143,19 +141,29 @@ def test_a_trial_that_shows_nothing_new_ends_after_two_frames() -> None:
 
 def test_a_scene_that_rests_is_tried_at_once() -> None:
     """By the law they take the same, and the measured first is the slower one."""
-    chooser, kind = Chooser(), Situation(0, 16_384, 70_000, 1)
-    costs = {LIGHT_GRID: 7.0, MESH_BVH: 5.0, BRUTE_FORCE: 5000.0}
+    chooser, kind = Chooser(), Situation(0, 1_024, 2_000, 1)
+    costs = {LIGHT_GRID: 0.6, MESH_BVH: 0.5, BRUTE_FORCE: 5000.0}
     assert play(chooser, kind, costs, 30) == [LIGHT_GRID] + [MESH_BVH] * 29
     chooser = Chooser()
-    chosen = play(chooser, kind, {**costs, MESH_BVH: 9.0}, 30)
+    chosen = play(chooser, kind, {**costs, MESH_BVH: 0.9}, 30)
     assert chosen == [LIGHT_GRID] + [MESH_BVH] * 2 + [LIGHT_GRID] * 27
+
+
+@pytest.mark.parametrize(("rays", "triangles"), [(16_384, 70_000), (131_072, 1_000_000)])
+def test_a_large_mesh_is_tried_when_its_tree_has_been_earned(rays: int, triangles: int) -> None:
+    """A million triangles take 0.35 s to build a tree of: not in the second frame of 34 ms."""
+    chooser, kind = Chooser(), Situation(0, rays, triangles, 1)
+    costs = {names: lawful(names, kind) * (1.3 if names == MESH_BVH else 1.0) for names in CANDIDATES}
+    earned = int(0.35e-3 * triangles / costs[LIGHT_GRID]) - 1
+    assert earned > 5
+    assert play(chooser, kind, costs, 40) == [LIGHT_GRID] * earned + [MESH_BVH] * 2 + [LIGHT_GRID] * (38 - earned)
 
 
 def test_who_was_tried_first_does_not_stay_unless_it_is_better() -> None:
     """The first frame of all loads kernels and teaches nothing, so the second is known before the present one is."""
-    chooser, kind = Chooser(), Situation(0, 16_384, 70_000, 1)
+    chooser, kind = Chooser(), Situation(0, 1_024, 2_000, 1)
     assert chooser.choose(kind) == LIGHT_GRID
-    chosen = play(chooser, kind, {LIGHT_GRID: 4.7, MESH_BVH: 5.2, BRUTE_FORCE: 5000.0}, 30)
+    chosen = play(chooser, kind, {LIGHT_GRID: 0.47, MESH_BVH: 0.62, BRUTE_FORCE: 5000.0}, 30)
     assert chosen == [MESH_BVH] * 2 + [LIGHT_GRID] * 28
 
 
@@ -212,12 +220,15 @@ def test_bits_do_not_depend_on_the_choice(threads: int) -> None:
         assert probe.bands(made)[0].names == chooser.chosen == chooser.forced
 
 
-def test_it_is_warmed_up_calibrated_and_says_what_it_does() -> None:
+@probe.in_both_forms
+def test_it_is_warmed_up_and_says_what_it_does(kernel_form: str) -> None:
+    """By the clock it is calibrated, too."""
     made = ShadowTracer("auto", device="cpu", bounds=replace(_BOUNDS, max_triangles=16384))
     assert (made.pipeline, made.variant) == ("auto", "measured") and made.choice
     assert made.warm_up() > 0.0
     chooser: Any = probe.chooser(made)
-    assert probe.calibrated(made) == set(CANDIDATES) and chooser.forced is None
+    assert probe.calibrated(made) == (set() if forms.wide(wp.get_device("cpu")) else set(CANDIDATES))
+    assert chooser.forced is None
     seen = views.procedural_view("robots", "corridor", 64, 300)
     made.scene.put("mesh", seen.vertices, seen.triangles)
     for _ in range(3):
@@ -231,6 +242,26 @@ def test_it_is_warmed_up_calibrated_and_says_what_it_does() -> None:
     assert made.verify(seen.depth, seen.camera, list(seen.lights), bias=seen.bias) == 0
 
 
+@probe.in_cuda_form
+def test_what_it_was_calibrated_by_is_forgotten(kernel_form: str) -> None:
+    """Frames after it are those of a tracer that has seen nothing: where its samples lie, and how much is looked at."""
+    bounds = replace(_BOUNDS, max_triangles=16384)
+    made, alone = (ShadowTracer(name, device="cpu", bounds=bounds) for name in ("auto", "light_grid"))
+    made.warm_up()
+    assert probe.calibrated(made) == set(CANDIDATES)
+    chooser: Any = probe.chooser(made)
+    chooser.forced = LIGHT_GRID
+    camera, lamp = Camera(192, 192, 192.0, 192.0, 95.5, 95.5), PointLight("lamp", (0.9, -0.4, -0.2))
+    for tracer in (made, alone):
+        tracer.scene.put("ball", *geometry.icosphere(3, 0.4, (0.2, 0.1, 1.3)))
+    for step in range(2):
+        depth = np.random.default_rng(step).uniform(1.9, 2.3, (192, 192)).astype(np.float32)  # in that sheet's box
+        found = [tracer.trace(depth, camera, [lamp], bias=0.01) for tracer in (made, alone)]
+        assert probe.kept(made, "") == probe.kept(alone, "")
+        assert np.array_equal(found[0].state("lamp"), found[1].state("lamp"))
+        assert found[0].counters == found[1].counters
+
+
 def test_small_bounds_leave_the_law() -> None:
     made = ShadowTracer("auto", device="cpu", bounds=Bounds(max_triangles=10, max_rays=100))
     made.warm_up()
@@ -239,7 +270,7 @@ def test_small_bounds_leave_the_law() -> None:
 
 
 class _Lesson:
-    """A tracer with a mesh, and who learns from each of its frames."""
+    """A tracer with a mesh, and who learns from each of its frames, by the clock or by counts."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
         self.seen = views.procedural_view("robots", "corridor", 64, 300)
@@ -264,7 +295,8 @@ class _Lesson:
         return list(self._learned)
 
 
-def test_a_frame_that_catches_up_teaches_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+@probe.in_cuda_form
+def test_a_frame_that_catches_up_teaches_nothing(kernel_form: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Who has not seen the scene for a while builds first: that is not what a frame costs."""
     lesson = _Lesson(monkeypatch)
     lesson.frame(LIGHT_GRID)
@@ -274,7 +306,10 @@ def test_a_frame_that_catches_up_teaches_nothing(monkeypatch: pytest.MonkeyPatch
     assert lesson.frame(MESH_BVH) == [MESH_BVH]
 
 
-def test_who_missed_a_change_is_not_told_what_the_next_one_took(monkeypatch: pytest.MonkeyPatch) -> None:
+@probe.in_cuda_form
+def test_who_missed_a_change_is_not_told_what_the_next_one_took(
+    kernel_form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The mesh moves in every frame, so that it looks the same to who has seen the last one and to who has not: the
     latter builds its tree instead of refitting it."""
     lesson = _Lesson(monkeypatch)
@@ -286,7 +321,10 @@ def test_who_missed_a_change_is_not_told_what_the_next_one_took(monkeypatch: pyt
     assert told == [[], [MESH_BVH], [], [LIGHT_GRID], [], [MESH_BVH]]
 
 
-def test_points_that_another_candidate_was_asked_about_are_a_frame_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+@probe.in_cuda_form
+def test_points_that_another_candidate_was_asked_about_are_a_frame_missed(
+    kernel_form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lesson = _Lesson(monkeypatch)
     for names in (MESH_BVH, LIGHT_GRID, MESH_BVH):
         lesson.frame(names)
@@ -299,8 +337,9 @@ def test_points_that_another_candidate_was_asked_about_are_a_frame_missed(monkey
     assert lesson.frame(MESH_BVH) == [MESH_BVH]
 
 
+@probe.in_cuda_form
 @pytest.mark.parametrize("names", CANDIDATES, ids="/".join)
-def test_the_first_frame_teaches_nothing(names: Names, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_frame_teaches_nothing(names: Names, kernel_form: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a warm-up kernels are loaded, or even compiled, in the first frame of each format."""
     lesson = _Lesson(monkeypatch)
     assert lesson.frame(names) == []
@@ -314,10 +353,74 @@ def test_the_first_frame_teaches_nothing(names: Names, monkeypatch: pytest.Monke
     assert lesson.frame(names) == [names]
 
 
-def test_a_frame_that_is_recorded_teaches_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+@probe.in_cuda_form
+def test_a_frame_that_is_recorded_teaches_nothing(kernel_form: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """To record the launches takes longer than to launch them, once."""
     lesson = _Lesson(monkeypatch, graphs=True)
     told = [lesson.frame(LIGHT_GRID) for _ in range(5)]
     assert probe.recordings(lesson.tracer) == 1
     # Kernels are loaded; the launches are recorded; and replayed.
     assert told == [[], [], [LIGHT_GRID], [LIGHT_GRID], [LIGHT_GRID]]
+
+
+def _told(monkeypatch: pytest.MonkeyPatch, second: float) -> list[tuple[Names, float]]:
+    """Who traced the frames of a scene that moves and rests and what was learned, where a clock moves so much."""
+    monkeypatch.setattr(time, "perf_counter", itertools.count(0.0, second).__next__)
+    seen = views.procedural_view("robots", "corridor", 64, 300)
+    tracer = ShadowTracer("auto", device="cpu", bounds=_BOUNDS, threads=1)
+    tracer.warm_up()
+    found: list[tuple[Names, float]] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            Chooser,
+            "learn",
+            lambda this, names, frame, cost: (found.append((names, cost)), _LEARN(this, names, frame, cost)),
+        )
+        for step in range(40):
+            if step % 20 < 10:
+                tracer.scene.put("mesh", seen.vertices + 0.001 * step, seen.triangles)
+            _states(tracer, seen)
+            tracer.states_at(seen.vertices[: 50 * (step + 1)], list(seen.lights))
+    return found
+
+
+_LEARN = Chooser.learn
+
+
+@pytest.mark.wide
+def test_no_clock_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Counts do, of images and of points, from the first frame on."""
+    slow, fast = _told(monkeypatch, 10.0), _told(monkeypatch, 1e-6)
+    assert slow == fast and len(slow) == 80 and len({names for names, _ in slow}) > 1
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("names", CANDIDATES, ids="/".join)
+def test_what_is_counted_costs(names: Names, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What hides the samples is found sooner by who looks at all triangles, and is less far away for the others."""
+    lesson = _Lesson(monkeypatch)
+    costs: list[float] = []
+    monkeypatch.setattr(Chooser, "learn", lambda this, names, frame, cost: costs.append(cost))
+    for far in (0.0, 0.001, 1e3):
+        lesson.tracer.scene.deform("mesh", lesson.seen.vertices + far)
+        lesson.frame(names)
+    assert (costs[1] > costs[2] > 0.0) == (names != BRUTE_FORCE)
+
+
+@pytest.mark.parametrize("names", CANDIDATES, ids="/".join)
+def test_more_of_what_is_counted_costs_more(names: Names) -> None:
+    frame, counters = Situation(0, 1000, 20_000, 1), dict.fromkeys(("nodes_visited", "leaf_tests", "entries"), 1000)
+    cost = counted(names, frame, counters)
+    more = [name for name in counters if counted(names, frame, counters | {name: 2000}) > cost]
+    assert (
+        more
+        == {
+            LIGHT_GRID: ["nodes_visited", "entries"],
+            MESH_BVH: ["nodes_visited", "leaf_tests"],
+            BRUTE_FORCE: ["leaf_tests"],
+        }[names]
+    )
+    others = [replace(frame, change=1), replace(frame, rays=2000), replace(frame, lights=2)]
+    others += [replace(frame, listed=True)] if names != BRUTE_FORCE else []
+    for other in others:
+        assert counted(names, other, counters) > cost

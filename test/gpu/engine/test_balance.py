@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 import geometry
 import numpy as np
 import probe
@@ -38,6 +41,37 @@ def test_cuts_settle_where_bands_take_equally_long(bands: int) -> None:
         balance.learn(times)
     assert spread[0] > 1.3 and spread[-1] < 1.04 + 4 * 275.0 / (work.sum() / bands)  # cuts are at every fourth row
     assert len(set(spread[-20:])) == 1, "they rest once they are good enough"
+
+
+@pytest.mark.parametrize("bands", [2, 3])
+@pytest.mark.parametrize("where", [0.3, 0.45, 0.5, 0.7])
+def test_a_few_rows_with_much_of_the_work_are_cut_through(where: float, bands: int) -> None:
+    """A cut does not jump to and fro over them."""
+    balance, depth = Balance(bands), _depth()
+    row = np.arange(256) / 256
+    work = np.where(abs(row - where) < 0.06, 30.0, 1.0)
+    spread = []
+    for _ in range(48):
+        cuts = balance.cut(depth, depth.size)
+        times = [work[first // 256 : end // 256].sum() for first, end in cuts]
+        spread.append(max(times) / np.mean(times))
+        balance.learn(times)
+    assert spread[-1] < 1.04 + 4 * 30.0 / (work.sum() / bands) and len(set(spread[-12:])) == 1
+
+
+def test_what_was_found_of_another_image_misleads_nobody() -> None:
+    """The work moves to the other half, again and again: the first cut after that goes there."""
+    balance, depth = Balance(2), _depth()
+    row = np.arange(256) / 256
+    for where in (0.3, 0.7, 0.2, 0.8, 0.5):
+        work = np.where(abs(row - where) < 0.06, 30.0, 1.0)
+        cuts = [_rows(balance.cut(depth, depth.size))[0]]
+        for _ in range(40):
+            balance.learn([work[: cuts[-1]].sum(), work[cuts[-1] :].sum()])
+            cuts.append(_rows(balance.cut(depth, depth.size))[0])
+        moved = [cut for cut in cuts if cut != cuts[0]]
+        assert (moved[0] > cuts[0]) == (where * 256 > cuts[0])
+        assert len(set(cuts[-8:])) == 1 and abs(work[: cuts[-1]].sum() - 0.5 * work.sum()) <= 4 * 30.0
 
 
 def test_the_first_moves_are_quick_and_further_ones_take_a_median() -> None:
@@ -196,3 +230,38 @@ def test_each_pipeline_of_auto_has_cuts_of_its_own() -> None:
     assert len({id(balance) for balance in balances.values()}) == len(balances) >= 2
     single = ShadowTracer("light_grid", "spherical", device="cpu", bounds=_BOUNDS, threads=2)
     assert probe.balances(single) == {}
+
+
+@pytest.mark.wide
+def test_who_is_to_forget_cuts_evenly() -> None:
+    tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=_BOUNDS, threads=2)
+    for part, count in ((0.4, None), (None, 128 * 256)):
+        if part is None:
+            probe.forget(tracer, "")
+        for balance in probe.balances(tracer).values() if part else ():
+            probe.cut_at(balance, [part])
+        tracer.trace(_depth(), _CAMERA, [_LAMP])
+        rows = [band.samples.count for band in probe.bands(tracer)]
+        assert rows[0] < 110 * 256 if count is None else rows == [count, count]
+
+
+@pytest.mark.wide
+def test_bands_are_judged_by_the_time_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that waits for a processor has no more work than others. Here each looks at a clock that its band's rows
+    move."""
+    tracer = ShadowTracer("light_grid", "packed", device="cpu", bounds=_BOUNDS, threads=2)
+    tracer.scene.put("ball", *geometry.icosphere(3, 0.8, (0.0, 0.0, 2.5)))
+    tracer.trace(_depth(), _CAMERA, [_LAMP])
+    (balance,) = probe.balances(tracer).values()
+    learned: list[list[float]] = []
+    monkeypatch.setattr(balance, "learn", learned.append)
+    clocks: dict[int, float] = {}
+
+    def look() -> float:
+        me = threading.get_ident()
+        clocks[me] = clocks.get(me, 0.0) + (3.0 if me == threading.main_thread().ident else 5.0)
+        return clocks[me]
+
+    monkeypatch.setattr(time, "thread_time", look)
+    tracer.trace(_depth(1), _CAMERA, [_LAMP])
+    assert learned == [[3.0, 5.0]]

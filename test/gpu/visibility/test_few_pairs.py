@@ -22,7 +22,7 @@ from shadow_tracer import (
     SphereLight,
     SpotLight,
 )
-from shadow_tracer.gpu.visibility.few_pairs import FewPairs
+from shadow_tracer.gpu.visibility.few_pairs import FewPairs, are_few
 
 _BOUNDS = Bounds(max_triangles=600, max_rays=20_000, max_lights=4)
 _LAMP = PointLight("lamp", (0.25, -0.5, 3.0))
@@ -188,13 +188,13 @@ def test_who_is_asked(asked: list[int]) -> None:
 def test_many_are_not_few(asked: list[int]) -> None:
     tracer, right = tracers = _pair()
     _put(tracers, _raster(np.random.default_rng(11), 20))
-    points = _points(np.random.default_rng(12), 60)
-    with probe.few_pairs(1000):
-        for count in (50, 51, 25, 50):
+    points = _points(np.random.default_rng(12), 240)
+    with probe.few_pairs(1000):  # and 150 for each triangle
+        for count in (200, 201, 100, 200):
             np.testing.assert_array_equal(*(each.occluded(points[:count], _LAMP) for each in tracers))
         for lights in (_LIGHTS[:2], _LIGHTS[:3]):
-            np.testing.assert_array_equal(*(each.states_at(points[:25], lights) for each in tracers))
-    assert asked == [50, 25, 50, 25]
+            np.testing.assert_array_equal(*(each.states_at(points[:100], lights) for each in tracers))
+    assert asked == [200, 100, 200, 100]
 
 
 def test_nothing_of_a_frame_is_touched(asked: list[int]) -> None:
@@ -245,3 +245,14 @@ def test_the_cuda_form_has_none(asked: list[int]) -> None:
     tracer = _tracer()
     tracer.scene.put("square", *geometry.square(2, 1.0, 1.0))
     assert tracer.occluded(np.zeros((5, 3)), _LAMP).all() and not asked
+
+
+@pytest.mark.parametrize("kernel_form", [probe.USUAL], indirect=True)
+def test_counts_say_what_is_few(kernel_form: str) -> None:
+    """Pairs of all lights together; and triangles, of which other ways make something first, as far as that goes."""
+    assert are_few(1_000, 1_000, [_LAMP]) and not are_few(1_000, 1_000, [_LAMP] * 2)
+    for triangles, most in ((1, 32_767), (36, 32_094), (1_000, 1_300), (2_000, 725), (4_000, 437), (400_000, 4)):
+        assert are_few(most, triangles, [_LAMP]) and not are_few(most + 1, triangles, [_LAMP])
+    assert not are_few(0, 1_000, [_LAMP]) and not are_few(1_000, 0, [_LAMP]) and not are_few(1_000, 1_000, [])
+    assert not are_few(10, 10, [SphereLight("bulb", (0.0, 0.0, 0.0), 0.1)])
+    assert not are_few(10, 10, [PointLight("lamp", (0.0, 0.0, 0.0), ignore=("mesh",))])
