@@ -1,6 +1,6 @@
 // cpu
 // needs: samples/view.h accelerators/light_grid/shared16.h accelerators/light_grid/pieces16.h
-// constants: LIT INVALID PLACE_STEP PLACE_FLOOR STEP_FACTOR NEAREST MOST_PART
+// constants: PLACE_STEP PLACE_FLOOR STEP_FACTOR NEAREST MOST_PART
 // arguments: LightFrame frame, Tiles tiles, Pieces pieces
 // Rays of a light from the positions that lights share: straight into lanes, and to the boxes of their pieces while
 // they are in registers. exactness.md says what they are off by.
@@ -75,25 +75,6 @@ struct Aim16 {
         magnitudes.store(tiles, piece, more);
         pieces.more.data[place] = more > pieces.more.data[place] ? more : pieces.more.data[place];
         Pieces16::add(place, inverse, piece, ray, tiles, pieces);
-        return true;
-    }
-    // A segment; false if it is to be projected sample by sample. Then nothing is left of it.
-    static inline bool segment(const Strip& strip, int kept, int place, bool inverse, const LightFrame& frame,
-                               const wp::uint8* valid, wp::uint8* states, const Tiles& tiles, const Pieces& pieces,
-                               int& traced) {
-        if (!serves(frame, pieces))
-            return false;
-        const Aim16 aim(frame);
-        const int first = place * pieces.of_light + strip.first, shared = Shared16::place(strip, kept);
-        traced = 0;
-        for (int k = 0; k < strip.count; ++k) {
-            if (!aim.take(first + k, shared + k, place, inverse, tiles, pieces))
-                return false;
-            traced += __builtin_popcount(pieces.there.data[shared + k]);
-        }
-        for (int row = 0; row < strip.rows; ++row)
-            for (int j = 0, n = strip.of_row(row); j < n; ++j)
-                states[strip.at(row) + j] = valid[strip.at(row) + j] ? LIT : INVALID;
         return true;
     }
 };

@@ -80,7 +80,7 @@ class BlockGrid:
     def project(self, rays: Rays, counted: bool) -> None:
         """Rays and states of all samples; ``counted``: the rays have been counted."""
         samples, tiles, pieces = self._context.samples, self._buffers.tiles, self._pieces.of()
-        shared = self._pieces.share(rays.light)
+        shared = self._pieces.share(rays.lights)
 
         def prepare() -> tuple[int, list[Any]]:
             inputs = [samples.lights_from(rays.first), int(counted), *map(int, shared)]
@@ -93,7 +93,7 @@ class BlockGrid:
             return 1, [*inputs, tiles, pieces, samples.counters]
 
         self._launch(packing.project_pieces, (*self._look(rays), counted, shared), prepare)
-        self._pieces.shared()
+        self._pieces.shared(shared)
 
     def pack(self, rays: Rays) -> None:
         """Pieces into tiles."""

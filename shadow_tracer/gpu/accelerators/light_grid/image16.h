@@ -133,13 +133,40 @@ struct Image16 {
                                const wp::array_t<wp::int64>& counters) {
         const Strip strip(number, tiles, pieces);
         wp::uint8* to = states.data + (size_t)place * tiles.samples;
-        int traced = 0;
-        if (!Aim16::segment(strip, kept, place, inverse != 0, frame, valid.data, to, tiles, pieces, traced))
-            traced = one_by_one(strip, place, inverse, frame, samples, valid, to, wild, wild_counts, tiles, pieces);
+        const int traced =
+            Aim16::serves(frame, pieces)
+                ? aimed(strip, kept, place, inverse, frame, samples, valid, to, wild, wild_counts, tiles, pieces)
+                : one_by_one(strip, place, inverse, frame, samples, valid, to, wild, wild_counts, tiles, pieces);
         if (counted == 0)
             counters.data[(number & (COUNTER_ROWS - 1)) * counters.shape[1] + RAYS] += traced;
     }
-    // The same, sample by sample in float64; returns how many rays there are.
+    // From positions that lights share, but for the pieces that these are no good for; returns how many rays there are.
+    static inline int aimed(const Strip& strip, int kept, int place, int inverse, const LightFrame& frame,
+                            const wp::array_t<wp::vec4d>& samples, const wp::array_t<wp::uint8>& valid,
+                            wp::uint8* states, const wp::array_t<int>& wild, const wp::array_t<int>& wild_counts,
+                            const Tiles& tiles, const Pieces& pieces) {
+        const Aim16 aim(frame);
+        const int first = place * pieces.of_light + strip.first, shared = Shared16::place(strip, kept);
+        // All samples with a measurement have a ray.
+        for (int row = 0; row < strip.rows; ++row)
+            for (int j = 0, n = strip.of_row(row); j < n; ++j)
+                states[strip.at(row) + j] = valid.data[strip.at(row) + j] ? LIT : INVALID;
+        int traced = 0, from = -1; // the first of pieces that are left out
+        for (int k = 0; k <= strip.count; ++k) {
+            if (k < strip.count && !aim.take(first + k, shared + k, place, inverse != 0, tiles, pieces)) {
+                from = from < 0 ? k : from;
+                continue;
+            }
+            if (from >= 0)
+                traced += one_by_one(strip.part(from, k), place, inverse, frame, samples, valid, states, wild,
+                                     wild_counts, tiles, pieces);
+            from = -1;
+            if (k < strip.count)
+                traced += __builtin_popcount(pieces.there.data[shared + k]);
+        }
+        return traced;
+    }
+    // Sample by sample in float64; returns how many rays there are.
     static inline int one_by_one(const Strip& strip, int place, int inverse, const LightFrame& frame,
                                  const wp::array_t<wp::vec4d>& samples, const wp::array_t<wp::uint8>& valid,
                                  wp::uint8* states, const wp::array_t<int>& wild, const wp::array_t<int>& wild_counts,

@@ -19,6 +19,7 @@ triangle is asked of the piece's box, which is that of its rays.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -124,6 +125,11 @@ def limit_of(rays: int, triangles: int) -> float:
     return TILE * min(max(_LEAST, _MOST * rays / max(triangles, 1)), _MOST)
 
 
+def _shines_everywhere(light: LightFrame) -> bool:
+    """Whether it has neither a cone nor a range, see ``aim16.h``."""
+    return light.light[3] == 0.0 or (light.cosine < -1.0 and light.reach == np.inf)
+
+
 class PieceBuffers:
     """Owns the memory of the pieces of a pass, and knows which samples they have."""
 
@@ -195,14 +201,16 @@ class PieceBuffers:
             self._shape = shape
         return pieces
 
-    def share(self, light: LightFrame) -> tuple[bool, bool]:
-        """Whether positions that lights share are to be made of the samples as they are now, about the anchor of
-        ``light``, and whether to keep them for further passes, or that they have been: if there is a second pass, or
-        was one with the samples before. What is recorded makes them in each pass."""
-        samples = self._samples
-        look = samples.revision, samples.count, samples.width, tuple(light.center), light.inverse_scale
+    def share(self, lights: Sequence[LightFrame]) -> tuple[bool, bool]:
+        """Whether positions that lights share are to be made of the samples as they are now, for a pass of ``lights``,
+        and whether to keep them for further passes, or that they have been: if there is a second pass, or was one with
+        the samples before. What is recorded makes them in each pass: its lights may be others when it is replayed."""
+        samples, light = self._samples, lights[0]
         if self._recorded:
             return True, False
+        if not any(_shines_everywhere(one) for one in lights):
+            return False, False
+        look = samples.revision, samples.count, samples.width, tuple(light.center), light.inverse_scale
         if look != self._shared:
             self._keep, self._kept, self._again = self._again, False, False
             self._shared = look
@@ -210,9 +218,9 @@ class PieceBuffers:
         self._again = self._keep = True
         return not self._kept, True
 
-    def shared(self) -> None:
+    def shared(self, done: tuple[bool, bool]) -> None:
         """What ``share`` said has been done."""
-        self._kept = self._keep
+        self._kept |= done == (True, True)
 
     def nbytes(self) -> int:
         """Bytes on the device."""

@@ -16,6 +16,15 @@ struct Strip {
         first = strip * pieces.across + x / wide;
         count = (n + wide - 1) / wide;
     }
+    // Its pieces from one on to the one before another.
+    inline Strip part(int from, int to) const {
+        Strip some = *this;
+        some.x += wide * from;
+        some.n = n - wide * from < wide * (to - from) ? n - wide * from : wide * (to - from);
+        some.first += from;
+        some.count = to - from;
+        return some;
+    }
     // The number of the first sample of a row, and how many there are.
     inline size_t at(int row) const { return (size_t)(top + row) * width + x; }
     inline int of_row(int row) const {

@@ -182,6 +182,11 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
         "far_beyond",
         [(_GRID + "shared16.h", "fits &= Doubles16::bits(Lanes16::absolute(at[k]) <= most);", "")],
     ),
+    "other pieces than those that are left out": (
+        _SHARED,
+        "far_beyond",
+        [(_GRID + "strip.h", "some.x += wide * from;", "")],
+    ),
     "rays that begin behind the light": (
         _SHARED,
         "good_enough and behind",

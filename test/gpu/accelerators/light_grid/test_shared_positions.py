@@ -138,11 +138,12 @@ def _settings() -> dict[str, tuple[np.ndarray, Light, float]]:
     wide = rng.uniform(-2.0, 2.0, (64, 3))
     lamp = PointLight("lamp", (0.125, -0.25, 0.375))
     near = lamp.position + rng.uniform(-1.0, 1.0, (32, 3)) * 10.0 ** rng.uniform(-9.0, -2.0, (32, 1))
+    around = lamp.position + rng.uniform(0.2, 0.6, (32, 1)) * geometry.directions(rng, 32)
     far = wide[:32] * 10.0 ** rng.uniform(0.0, 12.0, (32, 1))
     return {
         "near the light": (np.concatenate([wide, near]), lamp, 0.0),
         "far away": (np.concatenate([wide, far]), lamp, 0.01),
-        "rays that begin behind the light": (wide, lamp, 1.5),
+        "rays that begin behind the light": (np.concatenate([around, wide]), lamp, 0.9),
         "rays that begin far off": (wide, DirectionalLight("lamp", (0.3, -0.4, 0.5)), 4.0),
         "beyond a range": (wide, PointLight("lamp", (0.1, 0.2, 0.3), range=1.5), 0.01),
         "beside a cone": (wide, SpotLight("lamp", (0.0, 0.0, -3.0), (0.0, 0.1, 1.0), 0.3), 0.01),
