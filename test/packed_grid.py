@@ -55,7 +55,7 @@ class Packed:
     order: np.ndarray  # (N, 32) rays of the lanes
     live: np.ndarray  # (N, 32) bool
     rays: np.ndarray  # (N, 32, 5); of pieces (N, 32, 4)
-    magnitudes: np.ndarray  # (N, 2) of pieces: the most of the rays of a tile's lanes, and with |W|
+    magnitudes: np.ndarray  # (N, 2) of pieces: the most of a tile's lanes, and with |W|; infinity if each has its own
     lookup: np.ndarray  # (G, 256, 2)
     boxes: dict[str, Boxes]  # by level, without places that hold no rays
     empty: dict[str, np.ndarray]  # by level, (E, 2): half extents of the places that hold none
@@ -101,6 +101,7 @@ def read(tiles: Tiles) -> Packed:
         level: values.numpy().reshape(-1, QUANTITIES, 16)
         for level, values in zip(LEVELS, (tiles.boxes, tiles.blocks, tiles.columns), strict=True)
     }
+    most = tiles.magnitudes.numpy()[lanes] if pieces else np.empty((0, 2), np.float32)
     # number, group, column of each place that is to hold rays, by level
     full: dict[str, list[tuple[int, int, int]]] = {level: [] for level in LEVELS}
     for group, (_, rays, length, column, columns, block) in enumerate(groups.tolist()):
@@ -129,7 +130,7 @@ def read(tiles: Tiles) -> Packed:
         order[: TILE * count].reshape(count, TILE).copy(),
         live.astype(bool),
         halves.transpose(0, 1, 3, 2).reshape(count, TILE, 4 if pieces else 5).copy(),
-        tiles.magnitudes.numpy()[lanes] if pieces else np.empty((0, 2), np.float32),
+        np.where(np.isinf(most[:, :1]), np.float32(np.inf), most),
         tiles.lookup.numpy()[: 6 * LOOKUP * tiles.lights].reshape(-1, LOOKUP, 2).copy(),
         boxes,
         empty,

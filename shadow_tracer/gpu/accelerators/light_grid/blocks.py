@@ -80,13 +80,20 @@ class BlockGrid:
     def project(self, rays: Rays, counted: bool) -> None:
         """Rays and states of all samples; ``counted``: the rays have been counted."""
         samples, tiles, pieces = self._context.samples, self._buffers.tiles, self._pieces.of()
+        shared = self._pieces.share(rays.lights)
 
         def prepare() -> tuple[int, list[Any]]:
-            inputs = [samples.lights_from(rays.first), int(counted), samples.positions, samples.valid]
-            inputs += [samples.states_of(rays.first, len(rays.lights)), *self._admission.listed]
+            inputs = [samples.lights_from(rays.first), int(counted), *map(int, shared)]
+            inputs += [
+                samples.positions,
+                samples.valid,
+                samples.states_of(rays.first, len(rays.lights)),
+                *self._admission.listed,
+            ]
             return 1, [*inputs, tiles, pieces, samples.counters]
 
-        self._launch(packing.project_pieces, (*self._look(rays), counted), prepare)
+        self._launch(packing.project_pieces, (*self._look(rays), counted, shared), prepare)
+        self._pieces.shared(shared)
 
     def pack(self, rays: Rays) -> None:
         """Pieces into tiles."""

@@ -48,8 +48,9 @@ struct Entries {
                         Lanes16::load(rays + 48));
     }
     // Of each ray its own.
-    static inline void bounds(const float* record, const float* rays, Real16& edge, Real16& depth) {
-        const Real16 m = Magnitudes16::of(Lanes16::load(rays), Lanes16::load(rays + 16), Lanes16::load(rays + 48));
+    static inline void bounds(const float* record, const float* rays, float more, Real16& edge, Real16& depth) {
+        const Real16 m =
+            Magnitudes16::of(Lanes16::load(rays), Lanes16::load(rays + 16), Lanes16::load(rays + 48)) + more;
         edge = Filter16::edge(record, m, Lanes16::load(rays + 32));
         depth = Filter16::depth(record, m);
     }
@@ -64,7 +65,7 @@ struct Entries {
         depth[0] = depth[1] = about[7] * most[0] + about[11];
         if (Magnitudes16::apart(most))
             for (int half = 0; half < 2; ++half)
-                bounds(about, rays + half * TileMemory::SIXTEEN_RAYS, edge[half], depth[half]);
+                bounds(about, rays + half * TileMemory::SIXTEEN_RAYS, most[1], edge[half], depth[half]);
         const Filter16 low = filter(about, rays), high = filter(about, rays + TileMemory::SIXTEEN_RAYS);
         const unsigned found =
             ((unsigned)low.possible(edge[0], depth[0]) | (unsigned)high.possible(edge[1], depth[1]) << 16) & live;

@@ -1,5 +1,6 @@
 // cpu
-// needs: device/lanes.h@8 samples/view.h accelerators/admission.h accelerators/fits.h@16 accelerators/light_grid/pieces16.h
+// needs: device/lanes.h@8 samples/view.h accelerators/admission.h accelerators/fits.h@16 accelerators/light_grid/aim16.h
+// needs: accelerators/light_grid/on_face.h@1
 // constants: TILE_RAYS PIECE_ROWS SEGMENT LIT INVALID RAYS COUNTER_ROWS
 // arguments: LightFrame frame, Tiles tiles, Pieces pieces
 // Samples in the order of their pieces straight into lanes: rays of a light are written once, where they stay.
@@ -23,7 +24,7 @@ struct Image16 {
             magnitudes.store(tiles, piece);
         }
     };
-    enum { CHUNK = 8, MOST = SEGMENT };
+    enum { CHUNK = 8, MOST = SEGMENT, ASKED = 61 };
     float ray[4][PIECE_ROWS][MOST]; // U V W Z of some samples of some rows
     wp::uint8 state[PIECE_ROWS][MOST];
     int traced;
@@ -109,35 +110,85 @@ struct Image16 {
         for (unsigned odd = admitted.odd; odd; odd &= odd - 1)
             Admission::list(first + __builtin_ctz(odd), wild, wild_counts);
     }
-    // A segment of a light: pieces side by side, of up to MOST samples of each of their rows.
-    static inline void segment(int number, int place, const LightFrame& frame, int inverse, int counted,
+    // Looks at some samples of a light that nothing is known of: if one has a ray beyond the aligned frustum, none
+    // needs to be asked for it.
+    static inline void look_around(int place, const LightFrame& frame, const wp::array_t<wp::vec4d>& samples,
+                                   const wp::array_t<wp::uint8>& valid, const Tiles& tiles, const Pieces& pieces) {
+        const View view(frame);
+        for (int k = 0; k < ASKED; ++k) {
+            const size_t i = (size_t)tiles.samples * k / ASKED;
+            const wp::vec4d& at = samples.data[i];
+            const Projected found = view.of(at[0], at[1], at[2], at[3], valid.data[i] != 0);
+            if (found.ray && !OnFace1::ahead(found.u, found.v, found.w)) {
+                Pieces16::turn(place, place * pieces.of_light, tiles, pieces);
+                return;
+            }
+        }
+    }
+    // A segment of a light.
+    static inline void segment(int number, int kept, int place, const LightFrame& frame, int inverse, int counted,
                                const wp::array_t<wp::vec4d>& samples, const wp::array_t<wp::uint8>& valid,
                                const wp::array_t<wp::uint8>& states, const wp::array_t<int>& wild,
                                const wp::array_t<int>& wild_counts, const Tiles& tiles, const Pieces& pieces,
                                const wp::array_t<wp::int64>& counters) {
+        const Strip strip(number, tiles, pieces);
+        wp::uint8* to = states.data + (size_t)place * tiles.samples;
+        const int traced =
+            Aim16::serves(frame, pieces)
+                ? aimed(strip, kept, place, inverse, frame, samples, valid, to, wild, wild_counts, tiles, pieces)
+                : one_by_one(strip, place, inverse, frame, samples, valid, to, wild, wild_counts, tiles, pieces);
+        if (counted == 0)
+            counters.data[(number & (COUNTER_ROWS - 1)) * counters.shape[1] + RAYS] += traced;
+    }
+    // From positions that lights share, but for the pieces that these are no good for; returns how many rays there are.
+    static inline int aimed(const Strip& strip, int kept, int place, int inverse, const LightFrame& frame,
+                            const wp::array_t<wp::vec4d>& samples, const wp::array_t<wp::uint8>& valid,
+                            wp::uint8* states, const wp::array_t<int>& wild, const wp::array_t<int>& wild_counts,
+                            const Tiles& tiles, const Pieces& pieces) {
+        const Aim16 aim(frame);
+        const int first = place * pieces.of_light + strip.first, shared = Shared16::place(strip, kept);
+        // All samples with a measurement have a ray.
+        for (int row = 0; row < strip.rows; ++row)
+            for (int j = 0, n = strip.of_row(row); j < n; ++j)
+                states[strip.at(row) + j] = valid.data[strip.at(row) + j] ? LIT : INVALID;
+        int traced = 0, from = -1; // the first of pieces that are left out
+        for (int k = 0; k <= strip.count; ++k) {
+            if (k < strip.count && !aim.take(first + k, shared + k, place, inverse != 0, tiles, pieces)) {
+                from = from < 0 ? k : from;
+                continue;
+            }
+            if (from >= 0)
+                traced += one_by_one(strip.part(from, k), place, inverse, frame, samples, valid, states, wild,
+                                     wild_counts, tiles, pieces);
+            from = -1;
+            if (k < strip.count)
+                traced += __builtin_popcount(pieces.there.data[shared + k]);
+        }
+        return traced;
+    }
+    // Sample by sample in float64; returns how many rays there are.
+    static inline int one_by_one(const Strip& strip, int place, int inverse, const LightFrame& frame,
+                                 const wp::array_t<wp::vec4d>& samples, const wp::array_t<wp::uint8>& valid,
+                                 wp::uint8* states, const wp::array_t<int>& wild, const wp::array_t<int>& wild_counts,
+                                 const Tiles& tiles, const Pieces& pieces) {
         Image16 it;
         const View view(frame);
-        const int rows = pieces.rows, wide = TILE_RAYS / rows, beside = (pieces.width + MOST - 1) / MOST;
-        const int strip = number / beside, x = MOST * (number - beside * strip), top = rows * strip;
-        const int left = pieces.width - x, n = left < MOST ? left : MOST;
-        for (int row = 0; row < rows; ++row) {
-            const size_t at = (size_t)(top + row) * pieces.width + x;
-            const int there = tiles.samples - (int)at;
-            if (there <= 0)
+        const int wide = strip.wide, first = place * pieces.of_light + strip.first;
+        for (int row = 0; row < strip.rows; ++row) {
+            const size_t at = strip.at(row);
+            const int n = strip.of_row(row);
+            if (n == 0)
                 it.none(row);
             else
-                it.look(row, view, samples.data + at, valid.data + at, n < there ? n : there,
-                        states.data + (size_t)place * tiles.samples + at);
+                it.look(row, view, samples.data + at, valid.data + at, n, states + at);
         }
-        const int first = place * pieces.of_light + strip * pieces.across + x / wide, count = (n + wide - 1) / wide;
-        for (int k = 0; k < count; ++k)
+        for (int k = 0; k < strip.count; ++k)
             if (pieces.loose)
-                it.leave(first + k, wide * k, n - wide * k < wide ? n - wide * k : wide, tiles, pieces, wild,
-                         wild_counts);
+                it.leave(first + k, wide * k, strip.n - wide * k < wide ? strip.n - wide * k : wide, tiles, pieces,
+                         wild, wild_counts);
             else
                 it.put(first + k, wide * k, tiles, pieces, wild, wild_counts);
-        Pieces16::more(place, inverse != 0, first, first + count, tiles, pieces);
-        if (counted == 0)
-            counters.data[(number & (COUNTER_ROWS - 1)) * counters.shape[1] + RAYS] += it.traced;
+        Pieces16::more(place, inverse != 0, first, first + strip.count, tiles, pieces);
+        return it.traced;
     }
 };

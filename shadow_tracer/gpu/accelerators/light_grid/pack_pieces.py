@@ -38,9 +38,37 @@ def begin_light(place: int, tiles: Tiles, pieces: Pieces):
     ...
 
 
+@native.func_native("accelerators/light_grid/image16.h", calls="Image16::look_around")
+def look_around(
+    place: int,
+    frame: LightFrame,
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+    tiles: Tiles,
+    pieces: Pieces,
+):
+    """If some rays of a light are beyond the aligned frustum, none is asked for it."""
+    ...
+
+
+@native.func_native("accelerators/light_grid/shared16.h", calls="Shared16::segment")
+def share_segment(
+    number: int,
+    kept: int,
+    frame: LightFrame,
+    samples: wp.array(dtype=wp.vec4d),
+    valid: wp.array(dtype=wp.uint8),
+    tiles: Tiles,
+    pieces: Pieces,
+):
+    """Positions of the samples of some pieces side by side, about the anchor of a light."""
+    ...
+
+
 @native.func_native("accelerators/light_grid/image16.h", calls="Image16::segment")
 def project_segment(
     number: int,
+    kept: int,
     place: int,
     frame: LightFrame,
     inverse: int,
@@ -151,6 +179,8 @@ def clear_cells(tiles: Tiles, cells: wp.array(dtype=int)):
 def project_pieces(
     lights: wp.array(dtype=LightFrame),
     counted: int,
+    fresh: int,
+    kept: int,
     samples: wp.array(dtype=wp.vec4d),
     valid: wp.array(dtype=wp.uint8),
     states: wp.array(dtype=wp.uint8),
@@ -161,15 +191,19 @@ def project_pieces(
     counters: wp.array2d(dtype=wp.int64),
 ):
     """Rays and states of the samples for all lights of a pass: some samples for each light, as long as they are in the
-    cache."""
+    cache. ``fresh``: positions that lights share are to be made, and to be ``kept`` for passes that follow."""
     wild_counts[0] = 0
     wild_counts[1] = 0
     for place in range(tiles.lights):
         begin_light(place, tiles, pieces)
+        look_around(place, lights[place], samples, valid, tiles, pieces)
     for number in range(pieces.segments):
+        if fresh != 0 and pieces.loose == 0:
+            share_segment(number, kept, lights[0], samples, valid, tiles, pieces)
         for place in range(tiles.lights):
             project_segment(
                 number,
+                kept,
                 place,
                 lights[place],
                 space_of(lights[place]).inverse,

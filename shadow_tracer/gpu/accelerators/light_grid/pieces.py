@@ -5,7 +5,7 @@ are pieces in the order of (u, v).
 Of an image a piece has 8 x 4 pixels, of points, and of small or narrow images, 32 samples in a row; which ones is
 written down once per shape. Points that seem to come in rows (``rows.h``) are taken for an image; of such as come in no
 order all pieces are taken apart. So rays are written straight to where they stay (``image16.h``): none is sorted, and
-one pass over the samples serves all lights.
+positions are looked up once for all lights of a frame (``shared16.h``, ``aim16.h``).
 
 A piece on an edge of what the camera sees, or in a fog, may look large from the light: its box holds several times as
 many rays as the piece itself. If its two halves along the longer side do not, they are two pieces, with the same lanes.
@@ -19,6 +19,9 @@ triangle is asked of the piece's box, which is that of its rays.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import warp as wp
@@ -26,6 +29,7 @@ import warp as wp
 from shadow_tracer.gpu.accelerators.light_grid.tiles import TILE, TileBuffers
 from shadow_tracer.gpu.device import native
 from shadow_tracer.gpu.device.launches import Launches
+from shadow_tracer.gpu.exact.light_frame import LightFrame
 from shadow_tracer.gpu.exact.light_space import FACES
 from shadow_tracer.gpu.samples.sample_set import SampleSet
 
@@ -38,6 +42,13 @@ NO_GROUP, _SEVERAL_FACES = -1, -2
 _LEAST, _MOST = 1.0, 4.0  # times the rays of a piece, see ``limit_of``
 _CELLS = 64  # of the table of rays, each way
 _LEAST_ROW, _MOST_ROW = 24, 4096  # points that a row may have
+# Positions that lights share, see docs/exactness.md: steps in units of the anchor's scale, and how far they reach; the
+# longest way from a sample to where its ray begins, in these units and in parts of its way to the light; the nearest
+# that a ray may be to the light. What bounds of the filter grow by: a constant, and so many times the way.
+_STEP, _FAR, _LONGEST, _PART, _NEAREST = 2.0**-31, 1.0 - 2.0**-20, 2.0**-4, 0.25, 2.0**-5
+_FLOOR, _FACTOR = 2.0**-8, 4.0
+native.constants(PLACE_STEP=_STEP, PLACE_MOST=_FAR, LARGEST_STEP=_LONGEST, MOST_PART=_PART, NEAREST=_NEAREST)
+native.constants(PLACE_FLOOR=_FLOOR, STEP_FACTOR=_FACTOR)
 native.constants(PIECE_ROWS=_ROWS, SEGMENT=SEGMENT, NO_GROUP=NO_GROUP, SEVERAL_FACES=_SEVERAL_FACES)
 native.constants(POOL_CELLS=_CELLS, LEAST_ROW=_LEAST_ROW, MOST_ROW=_MOST_ROW)
 
@@ -60,9 +71,16 @@ class Pieces:
     live: wp.array(dtype=int)  # bits of the rays that are in it
     group: wp.array(dtype=int)  # that its rays are in, or below zero
     count: wp.array(dtype=int)  # pieces there are
-    extents: wp.array(dtype=float)  # of the rays of each light in the aligned frustum
+    extents: wp.array(dtype=float)  # of the rays of each light on each face
+    more: wp.array(dtype=float)  # of each light: what bounds of the filter grow by, see ``aim16.h``
+    turned: wp.array(dtype=int)  # of each light not in the aligned frustum: the first piece that was asked for its face
     table: wp.array(dtype=int)  # rays below and left of each corner of cells
     pool: wp.array(dtype=int)  # pieces that are taken apart
+    # Shared by all lights, see ``shared16.h``: of the pieces of one of them.
+    places: wp.array(dtype=int)  # [piece][x y z][32] steps from the anchor
+    steps: wp.array(dtype=float)  # [piece][32] how far the ray begins from its sample
+    longest: wp.array(dtype=float)  # of these; below zero if the positions of the piece do not fit
+    there: wp.array(dtype=int)  # bits of the lanes that hold a sample with a measurement
 
 
 @native.func_native("accelerators/light_grid/rows.h", calls="Rows::find", otherwise="return 0;")
@@ -107,6 +125,11 @@ def limit_of(rays: int, triangles: int) -> float:
     return TILE * min(max(_LEAST, _MOST * rays / max(triangles, 1)), _MOST)
 
 
+def _shines_everywhere(light: LightFrame) -> bool:
+    """Whether it has neither a cone nor a range, see ``aim16.h``."""
+    return light.light[3] == 0.0 or (light.cosine < -1.0 and light.reach == np.inf)
+
+
 class PieceBuffers:
     """Owns the memory of the pieces of a pass, and knows which samples they have."""
 
@@ -121,15 +144,24 @@ class PieceBuffers:
         pieces.live = wp.empty(most, dtype=int, device=device)
         pieces.group = wp.empty(most, dtype=int, device=device)
         pieces.count = wp.zeros(1, dtype=int, device=device)
-        pieces.extents = wp.empty(96 * bounds.max_lights, dtype=float, device=device)
+        pieces.extents = wp.empty(96 * int(FACES) * bounds.max_lights, dtype=float, device=device)
+        pieces.more = wp.empty(bounds.max_lights, dtype=float, device=device)
+        pieces.turned = wp.empty(bounds.max_lights, dtype=int, device=device)
         pieces.table = wp.empty((_CELLS + 1) ** 2, dtype=int, device=device)
         pieces.pool = wp.empty(most, dtype=int, device=device)
+        one = most_pieces(bounds.max_rays, 1)
+        pieces.places = wp.empty(3 * TILE * one, dtype=int, device=device)
+        pieces.steps = wp.empty(TILE * one, dtype=float, device=device)
+        pieces.longest = wp.empty(one, dtype=float, device=device)
+        pieces.there = wp.empty(one, dtype=int, device=device)
         self._pieces = pieces
         self._shape = (0, 0, 0)
         self._rows = wp.zeros(1, dtype=int, device=device)
         self._row, self._looked = 0, -1  # of the points of that revision
         self._loaded = False  # whether the kernel that looks for rows is
         self._recorded = False
+        self._shared: tuple[Any, ...] = ()  # what the positions that lights share are of
+        self._again = self._keep = self._kept = False  # see ``share``
 
     def _width(self) -> int:
         """Of the image that the samples are of, or seem to be; 0 if of none, below zero if they are in no order."""
@@ -169,8 +201,30 @@ class PieceBuffers:
             self._shape = shape
         return pieces
 
+    def share(self, lights: Sequence[LightFrame]) -> tuple[bool, bool]:
+        """Whether positions that lights share are to be made of the samples as they are now, for a pass of ``lights``,
+        and whether to keep them for further passes, or that they have been: if there is a second pass, or was one with
+        the samples before. What is recorded makes them in each pass: its lights may be others when it is replayed."""
+        samples, light = self._samples, lights[0]
+        if self._recorded:
+            return True, False
+        if not any(_shines_everywhere(one) for one in lights):
+            return False, False
+        look = samples.revision, samples.count, samples.width, tuple(light.center), light.inverse_scale
+        if look != self._shared:
+            self._keep, self._kept, self._again = self._again, False, False
+            self._shared = look
+            return True, self._keep
+        self._again = self._keep = True
+        return not self._kept, True
+
+    def shared(self, done: tuple[bool, bool]) -> None:
+        """What ``share`` said has been done."""
+        self._kept |= done == (True, True)
+
     def nbytes(self) -> int:
         """Bytes on the device."""
         pieces = self._pieces
         arrays = (pieces.box, pieces.live, pieces.group, pieces.count, pieces.extents, pieces.table, pieces.pool)
+        arrays += (pieces.more, pieces.turned, pieces.places, pieces.steps, pieces.longest, pieces.there)
         return sum(int(array.capacity) for array in arrays)

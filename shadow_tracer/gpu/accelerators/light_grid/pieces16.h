@@ -39,6 +39,8 @@ struct Extents16 {
 struct Lanes32 {
     Real16 U, V, W, Z;
 
+    inline Lanes32() {}
+    inline Lanes32(Real16 u, Real16 v, Real16 w, Real16 z) : U(u), V(v), W(w), Z(z) {}
     inline explicit Lanes32(const float* lanes)
         : U(Lanes16::load(lanes)), V(Lanes16::load(lanes + 16)), W(Lanes16::load(lanes + 32)),
           Z(Lanes16::load(lanes + 48)) {}
@@ -70,6 +72,12 @@ struct Lanes32 {
         for (int j = 0; j < 16; ++j)
             some[j] = pieces.rays.data[numbers[2] + (j < left ? sample + j : tiles.samples - 1)];
         return Lanes32(some);
+    }
+    inline void store(float* lanes) const {
+        Lanes16::store(lanes, U);
+        Lanes16::store(lanes + 16, V);
+        Lanes16::store(lanes + 32, W);
+        Lanes16::store(lanes + 48, Z);
     }
     inline const Real16& operator[](int k) const { return k == 0 ? U : k == 1 ? V : W; }
     // What float32 and set-up are at fault by, many times over.
@@ -108,29 +116,24 @@ struct Pieces16 {
     static inline Mask16 live(const Pieces& pieces, int piece, int half) {
         return Lanes16::mask((unsigned)pieces.live.data[piece] >> 16 * half & 0xFFFF);
     }
-    // In the aligned frustum; false as soon as a ray is not in it.
-    static inline bool forward(int place, bool inverse, int first, int end, const Tiles& tiles, const Pieces& pieces,
+    // In the aligned frustum; false if a ray is not in it.
+    static inline bool forward(int place, bool inverse, int piece, const Lanes32 (&ray)[2], const Pieces& pieces,
                                Extents16& front) {
         OnFace16 at;
-        for (int piece = first; piece < end; ++piece) {
-            pieces.group.data[piece] = NO_GROUP;
-            if (!pieces.live.data[piece])
-                continue;
-            PieceBox16 box;
-            for (int half = 0; half < 2; ++half) {
-                const Lanes32 ray = Lanes32::of(tiles, pieces, piece, half);
-                const Mask16 in = live(pieces, piece, half);
-                if (Lanes16::bits(in & ~OnFace16::ahead(ray.U, ray.V, ray.W)))
-                    return false;
-                at.forward(ray.U, ray.V, ray.W);
-                front.take(in, at, ray.Z, ray.pad());
-                if (!pieces.loose)
-                    box.take(in, at, at.depth(ray.Z, inverse));
-            }
-            pieces.group.data[piece] = pieces.loose ? SEVERAL_FACES : FACES * place + FORWARD;
+        PieceBox16 box;
+        for (int half = 0; half < 2; ++half) {
+            const Lanes32& it = ray[half];
+            const Mask16 in = live(pieces, piece, half);
+            if (Lanes16::bits(in & ~OnFace16::ahead(it.U, it.V, it.W)))
+                return false;
+            at.forward(it.U, it.V, it.W);
+            front.take(in, at, it.Z, it.pad());
             if (!pieces.loose)
-                box.store(at_box(pieces, piece));
+                box.take(in, at, at.depth(it.Z, inverse));
         }
+        pieces.group.data[piece] = pieces.loose ? SEVERAL_FACES : FACES * place + FORWARD;
+        if (!pieces.loose)
+            box.store(at_box(pieces, piece));
         return true;
     }
     // On a face that all of its live rays are on.
@@ -167,51 +170,70 @@ struct Pieces16 {
         return below;
     }
     // On the six faces of the cube.
-    static inline void around(int place, bool inverse, int first, int end, const Tiles& tiles, const Pieces& pieces,
-                              Extents16 (&extents)[FACES]) {
-        OnFace16 at;
-        for (int piece = first; piece < end; ++piece) {
-            pieces.group.data[piece] = NO_GROUP;
-            if (!pieces.live.data[piece])
-                continue;
-            int faces = 0;
-            for (int half = 0; half < 2; ++half) {
-                const Lanes32 ray = Lanes32::of(tiles, pieces, piece, half);
-                const Mask16 in = live(pieces, piece, half);
-                at.look(ray.U, ray.V, ray.W);
-                const Real16 pad = ray.pad();
-                for (int face = 0; face < FACES; ++face) {
-                    const Mask16 here = in & (at.face == face);
-                    if (!Lanes16::bits(here))
-                        continue;
-                    extents[face].take(here, at, ray.Z, pad);
-                    faces |= 1 << face;
-                }
-            }
-            if (faces & (faces - 1) || pieces.loose)
-                pieces.group.data[piece] = SEVERAL_FACES;
-            else
-                bound(FACES * place + __builtin_ctz(faces), inverse, piece, tiles, pieces);
+    static inline void around(int place, bool inverse, int piece, const Lanes32 (&ray)[2], const Pieces& pieces,
+                              Extents16* extents) {
+        OnFace16 at[2];
+        int faces = 0;
+        for (int half = 0; half < 2; ++half) {
+            at[half].look(ray[half].U, ray[half].V, ray[half].W);
+            for (int face = 0; face < FACES; ++face)
+                faces |= (Lanes16::bits(live(pieces, piece, half) & (at[half].face == face)) != 0) << face;
         }
+        const bool several = faces & (faces - 1) || pieces.loose;
+        PieceBox16 box;
+        for (int left = faces; left; left &= left - 1) {
+            const int face = __builtin_ctz(left);
+            for (int half = 0; half < 2; ++half) {
+                const Mask16 here = live(pieces, piece, half) & (at[half].face == face);
+                extents[face].take(here, at[half], ray[half].Z, ray[half].pad());
+                if (!several)
+                    box.take(here, at[half], at[half].depth(ray[half].Z, inverse));
+            }
+        }
+        pieces.group.data[piece] = several ? SEVERAL_FACES : FACES * place + __builtin_ctz(faces);
+        if (!several)
+            box.store(at_box(pieces, piece));
     }
     // Nothing is known of a light yet.
     static inline void begin(int place, const Tiles& tiles, const Pieces& pieces) {
         tiles.aligned.data[place] = 1;
-        front(pieces, place)->clear();
+        pieces.more.data[place] = 0.0f;
+        extents(pieces, place)[FORWARD].clear();
         for (int k = 0, piece = place * pieces.of_light; k < pieces.of_light; ++k, ++piece)
             tiles.numbers.data[piece] = wp::vec3i(piece, TILE_RAYS * k, place * tiles.samples);
     }
-    static inline Extents16* front(const Pieces& pieces, int place) {
-        return (Extents16*)(pieces.extents.data + EXTENTS * (size_t)place);
-    }
     enum { EXTENTS = 6 * 16 };
-    // Takes the pieces from `first` on, as long as they fit.
-    static inline void more(int place, bool inverse, int first, int end, const Tiles& tiles, const Pieces& pieces) {
-        if (!tiles.aligned.data[place])
+    // Of the faces of a light; those of the aligned frustum are where its face has them.
+    static inline Extents16* extents(const Pieces& pieces, int place) {
+        return (Extents16*)(pieces.extents.data + EXTENTS * FACES * (size_t)place);
+    }
+    // From a piece on the rays of a light are looked at on the cube, and those of the pieces before it in the end.
+    static inline void turn(int place, int piece, const Tiles& tiles, const Pieces& pieces) {
+        tiles.aligned.data[place] = 0;
+        pieces.turned.data[place] = piece;
+        for (int face = 0; face < FACES; ++face)
+            extents(pieces, place)[face].clear();
+    }
+    // Takes a piece that has these rays.
+    static inline void add(int place, bool inverse, int piece, const Lanes32 (&ray)[2], const Tiles& tiles,
+                           const Pieces& pieces) {
+        pieces.group.data[piece] = NO_GROUP;
+        if (!pieces.live.data[piece])
             return;
-        Extents16 extents = *front(pieces, place);
-        tiles.aligned.data[place] = forward(place, inverse, first, end, tiles, pieces, extents);
-        *front(pieces, place) = extents;
+        Extents16* to = extents(pieces, place);
+        if (tiles.aligned.data[place]) {
+            if (forward(place, inverse, piece, ray, pieces, to[FORWARD]))
+                return;
+            turn(place, piece, tiles, pieces);
+        }
+        around(place, inverse, piece, ray, pieces, to);
+    }
+    // Takes the pieces from `first` on.
+    static inline void more(int place, bool inverse, int first, int end, const Tiles& tiles, const Pieces& pieces) {
+        for (int piece = first; piece < end; ++piece) {
+            const Lanes32 ray[2] = { Lanes32::of(tiles, pieces, piece, 0), Lanes32::of(tiles, pieces, piece, 1) };
+            add(place, inverse, piece, ray, tiles, pieces);
+        }
     }
     // Boxes, faces and extents of all pieces of a light.
     static inline void finish(int place, int inverse, const Tiles& tiles, const Pieces& pieces) {
@@ -220,15 +242,13 @@ struct Pieces16 {
             tiles.counts.data[ALL_RAYS] += __builtin_popcount(pieces.live.data[piece]);
         for (int face = 0; face < FACES; ++face)
             tiles.fit.data[FACES * place + face] = wp::vec4(0.0f, 0.0f, 0.0f, 0.0f);
+        const Extents16* found = extents(pieces, place);
         if (tiles.aligned.data[place]) {
-            front(pieces, place)->store(tiles, FACES * place + FORWARD);
+            found[FORWARD].store(tiles, FACES * place + FORWARD);
             return;
         }
-        Extents16 extents[FACES];
+        more(place, inverse != 0, first, pieces.turned.data[place], tiles, pieces);
         for (int face = 0; face < FACES; ++face)
-            extents[face].clear();
-        around(place, inverse != 0, first, end, tiles, pieces, extents);
-        for (int face = 0; face < FACES; ++face)
-            extents[face].store(tiles, FACES * place + face);
+            found[face].store(tiles, FACES * place + face);
     }
 };

@@ -171,7 +171,7 @@ struct Pool16 {
                     const Lanes32 it(lanes);
                     magnitudes.take(Pieces16::live(pieces, piece, half), it.U, it.V, it.W, it.Z);
                 }
-                magnitudes.store(tiles, piece);
+                magnitudes.store(tiles, piece, pieces.more.data[number / FACES]);
                 Pieces16::bound(number, inverse != 0, piece, tiles, pieces);
             }
         }

@@ -17,7 +17,8 @@ the face's axis, not by its largest: in the aligned frustum |h| there is up to t
 and the magnitude bound of a box is 6 + 2.001 max |t| in place of 4 + 2.001 max |t|.
 
 A ray's u and v are within 2 u of exact relative, values up to 2; half extents are padded by 16 u for that and for their
-own rounding, depths by 8 u relative.
+own rounding, depths by 8 u relative. On the CPU both are off by a little more (docs/exactness.md, "positions that
+lights share").
 """
 
 from __future__ import annotations

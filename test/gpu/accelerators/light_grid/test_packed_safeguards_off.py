@@ -15,7 +15,7 @@ _GRID = "accelerators/light_grid/"
 _BOXES, _TILES, _CANDIDATES = "test_packed_boxes.py", "test_packed_tiles.py", "test_candidates.py"
 _EXACT = "../../exact/test_blocks.py"
 _TOGETHER, _KEPT = "test_together.py", "../../samples/test_kept_rays.py"
-_PIECES = "test_pieces.py"
+_PIECES, _SHARED = "test_pieces.py", "test_shared_positions.py"
 _BOUNDS = ("low_u", "high_u", "low_v", "high_v")
 _COVERED = "(middle[3] - reach[3] + far > plane)"
 
@@ -39,7 +39,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "one bound for pieces however far rays are apart": (
         "../../test_far.py",
         "few_pixels and packed",
-        [(_GRID + "magnitudes16.h", "apart ? wp::vec2(none, none) : wp::vec2(m, n)", "wp::vec2(m, n)")],
+        [(_GRID + "magnitudes16.h", "apart ? wp::vec2(none, more) : ", "")],
     ),
     "bounds of the filter without W": (
         _PIECES,
@@ -139,12 +139,86 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "pieces on the first of their faces": (
         _PIECES,
         "brute_force",
-        [(_GRID + "pieces16.h", "if (faces & (faces - 1) || pieces.loose)", "if (faces == 0)")],
+        [(_GRID + "pieces16.h", "several = faces & (faces - 1) ||", "several =")],
     ),
     "pieces in the frustum without a look": (
+        _SHARED,
+        "frustum",
+        [(_GRID + "pieces16.h", "if (Lanes16::bits(in & ~OnFace16::ahead(it.U, it.V, it.W)))", "if (piece < 0)")],
+    ),
+    "positions that steps do not tell apart": (
+        _SHARED,
+        "steps_do_not_tell and False",
+        [(_GRID + "pieces.py", "_FLOOR, _FACTOR = 2.0**-8", "_FLOOR, _FACTOR = 0.0")],
+    ),
+    "rays with bounds of their own as if positions were exact": (
+        _SHARED,
+        "steps_do_not_tell and True",
+        [(_GRID + "magnitudes16.h", "wp::vec2(none, more)", "wp::vec2(none, 0.0f)")],
+    ),
+    "rays of the pool as if positions were exact": (
         _PIECES,
         "brute_force",
-        [(_GRID + "pieces16.h", "if (Lanes16::bits(in & ~OnFace16::ahead(ray.U, ray.V, ray.W)))", "if (piece < 0)")],
+        [
+            (
+                _GRID + "pool16.h",
+                "magnitudes.store(tiles, piece, pieces.more.data[number / FACES]);",
+                "magnitudes.store(tiles, piece);",
+            )
+        ],
+    ),
+    "bounds that do not grow with the bias": (
+        _PIECES,
+        "brute_force",
+        [(_GRID + "aim16.h", " + (float)STEP_FACTOR * longest;", ";")],
+    ),
+    "positions nearer to the light than steps can tell": (
+        _SHARED,
+        "directions_of",
+        [(_GRID + "aim16.h", "(size >= nearest) & (part <= most)", "part <= most")],
+    ),
+    "positions beyond the last step": (
+        _SHARED,
+        "far_beyond",
+        [(_GRID + "shared16.h", "fits &= Doubles16::bits(Lanes16::absolute(at[k]) <= most);", "")],
+    ),
+    "other pieces than those that are left out": (
+        _SHARED,
+        "far_beyond",
+        [(_GRID + "strip.h", "some.x += wide * from;", "")],
+    ),
+    "rays that begin behind the light": (
+        _SHARED,
+        "good_enough and behind",
+        [
+            (_GRID + "aim16.h", "(size >= nearest) & (part <= most)", "size >= nearest"),
+            (_GRID + "shared16.h", "(step >= none) & (step <= largest)", "step >= none"),
+        ],
+    ),
+    "a cone and a range that are not asked about": (
+        _SHARED,
+        "good_enough and (range or cone)",
+        [(_GRID + "aim16.h", "(frame.cosine < -1.0 && frame.reach == HUGE_VAL)", "true")],
+    ),
+    "positions of the samples before": (
+        _SHARED,
+        "sequences",
+        [(_GRID + "pieces.py", "look = samples.revision, samples.count", "look = samples.count")],
+    ),
+    "positions that are not kept taken by the next pass": (
+        _SHARED,
+        "sequences",
+        [(_GRID + "pieces.py", "return not self._kept, True", "return False, True")],
+    ),
+    "positions kept where those of other pieces lie": (
+        _SHARED,
+        "sequences",
+        [(_GRID + "shared16.h", "return kept ? strip.first : 0;", "return 0;")],
+    ),
+    "pieces before one beyond the frustum left in it": (
+        _SHARED,
+        "frustum",
+        [(_GRID + "pieces16.h", "more(place, inverse != 0, first, pieces.turned.data[place], tiles, pieces);", "")],
     ),
     "halves that both have all rays": (
         _PIECES,
@@ -165,7 +239,7 @@ _MUTANTS: dict[str, tuple[str, str, list[tuple[str, str, str]]]] = {
     "rows that end beyond the last sample": (
         _PIECES,
         "in_rows or sequences",
-        [(_GRID + "image16.h", "n < there ? n : there", "n")],
+        [(_GRID + "strip.h", "n < there ? n : there", "n")],
     ),
     "points that are taken for those before": (
         _PIECES,
@@ -285,6 +359,6 @@ def test_without_a_safeguard_the_tests_fail(mutant: str, tmp_path: Path, kernels
     tests, some, changes = _MUTANTS[mutant]
     failed = failing_tests(changes, f"accelerators/light_grid/{tests}", f"({some}) and not decide", tmp_path, kernels)
     in_cuda_form = ["cuda_form" in line for line in failed]
-    only_wide = tests in (_CANDIDATES, _TOGETHER, _KEPT, _EXACT, _PIECES) or "pieces" in mutant
+    only_wide = tests in (_CANDIDATES, _TOGETHER, _KEPT, _EXACT, _PIECES, _SHARED) or "pieces" in mutant
     if not only_wide:
         assert any(in_cuda_form) and not all(in_cuda_form), f"one of the forms does not see it: {failed}"
