@@ -36,15 +36,19 @@ struct MaskFilter {
     }
     static inline Real16 smaller(Real16 x, Real16 y) { return x < y ? x : y; }
     static inline Real16 larger(Real16 x, Real16 y) { return x > y ? x : y; }
-    // A linear form: what it is in the middle, and how far from that at any point.
+    // A linear form: what it is in the middle, and how far from that it may be at any point.
     struct Form {
-        Real16 x, y, z, value, beside;
+        Real16 x, y, z, value;
 
         inline Form(const MaskFilter& filter, Real16 x, Real16 y, Real16 z) : x(x), y(y), z(z) {
             CONTRACTED
-            const float *m = filter.middle, *e = filter.extent;
+            const float* m = filter.middle;
             value = x * m[0] + y * m[1] + z * m[2];
-            beside = Lanes16::absolute(x) * e[0] + Lanes16::absolute(y) * e[1] + Lanes16::absolute(z) * e[2];
+        }
+        inline Real16 beside(const MaskFilter& filter) const {
+            CONTRACTED
+            const float* e = filter.extent;
+            return Lanes16::absolute(x) * e[0] + Lanes16::absolute(y) * e[1] + Lanes16::absolute(z) * e[2];
         }
         inline void put(Lane* to, Real16 sign, Real16 constant) const {
             Lanes16::store(to[0], constant * sign);
@@ -55,7 +59,8 @@ struct MaskFilter {
     };
     static inline Real16 row(const float* rows, int k) { return *(const Real16*)(rows + 16 * k); }
     // rows: a corner, the edges from there to the other two, and the longest edge; negative where there is no triangle.
-    inline void judge(const float* rows) {
+    // few: all points will be judged; which triangles touch none, or hide all, need not be found out.
+    inline void judge(const float* rows, bool few) {
         CONTRACTED
         const Real16 cx = row(rows, 0) - at[0], cy = row(rows, 1) - at[1], cz = row(rows, 2) - at[2];
         const Real16 ax = row(rows, 3), ay = row(rows, 4), az = row(rows, 5);
@@ -72,7 +77,7 @@ struct MaskFilter {
         const Real16 off = (nx * cx + ny * cy + nz * cz) * unit, distance = Lanes16::absolute(off);
         const Real16 none = 0.0f, one = 1.0f, sign = off < none ? -one : one;
         // The own plane's form, how far from that it may be, and how far from zero.
-        const Real16 slope = plane.value * sign, wide = plane.beside + there, away = Lanes16::absolute(slope);
+        const Real16 slope = plane.value * sign, wide = plane.beside(*this) + there, away = Lanes16::absolute(slope);
         const Real16 beyond = slope - w * distance, both = wide + here;
         const int clear = Lanes16::bits(distance - here > farthest * (away + wide));
         const int never = Lanes16::bits(nearest * (away - wide) > distance + here);
@@ -86,21 +91,35 @@ struct MaskFilter {
         const Form first(*this, px, py, pz), second(*this, (qx - px) + nx, (qy - py) + ny, (qz - pz) + nz),
             third(*this, -qx, -qy, -qz);
         const Real16 band = ((float)MASK_BAND * (from + size) + (float)MASK_PLACE * place) * (reach * size);
-        const Real16 u = first.value * sign, v = second.value * sign, t = third.value * sign;
-        const Real16 up = smaller(smaller(u + first.beside, v + second.beside), t + third.beside);
-        const Real16 down = larger(larger(u - first.beside, v - second.beside), t - third.beside);
-        const int positive = Lanes16::bits(up > -band), negative = Lanes16::bits(down < band);
-        may &= positive | (negative & ~clear);
-        told = may & clear;
-        if (!told)
-            return;
-        const Real16 low = smaller(smaller(u - first.beside, v - second.beside), t - third.beside);
-        all = told & Lanes16::bits((low > band) & (beyond - both > none));
+        if (!few || (may & ~clear)) {
+            const Real16 u = first.value * sign, v = second.value * sign, t = third.value * sign;
+            const Real16 du = first.beside(*this), dv = second.beside(*this), dt = third.beside(*this);
+            const Real16 up = smaller(smaller(u + du, v + dv), t + dt);
+            const Real16 down = larger(larger(u - du, v - dv), t - dt), low = smaller(smaller(u - du, v - dv), t - dt);
+            const int positive = Lanes16::bits(up > -band), negative = Lanes16::bits(down < band);
+            may &= positive | (negative & ~clear);
+            told = may & clear;
+            if (!told)
+                return;
+            all = told & Lanes16::bits((low > band) & (beyond - both > none));
+        } else
+            told = may & clear;
         const Real16 per_band = sign * Lanes16::inverse(band), per_both = sign * Lanes16::inverse(there + here);
         first.put(forms[0], per_band, first.value);
         second.put(forms[1], per_band, second.value);
         third.put(forms[2], per_band, third.value);
         plane.put(forms[3], per_both, plane.value - w * off);
+    }
+    // Of all triangles at once, as bits, those that surely hide a point, and those that may: of what is told.
+    inline void of_point(const float* at, int& sure, int& maybe) const {
+        CONTRACTED
+        Real16 least = 2.0f;
+        for (int form = 0; form < FORMS; ++form)
+            least =
+                smaller(Lanes16::load(forms[form][0]) + Lanes16::load(forms[form][1]) * at[0]
+                            + Lanes16::load(forms[form][2]) * at[MOST] + Lanes16::load(forms[form][3]) * at[2 * MOST],
+                        least);
+        sure = told & Lanes16::bits(least > 1.0f), maybe = told & Lanes16::bits(least > -1.0f);
     }
     // The least form of a triangle at a point.
     inline float one(int triangle, const float* at) const {

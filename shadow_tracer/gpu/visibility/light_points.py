@@ -173,10 +173,9 @@ class Tally:
             states = self._states[number]
             shines = (states != OUTSIDE) & (states != INVALID)
             found[number] = reaching = points.reaching(shines)
-            soft = np.full(len(states), PENUMBRA, np.uint8)
-            soft[reaching.counts == 0] = SHADOWED
-            soft[reaching.counts == points.samples] = LIT
-            np.copyto(states, soft, where=shines)
+            of_counts = np.full(points.samples + 1, PENUMBRA, np.uint8)
+            of_counts[0], of_counts[-1] = SHADOWED, LIT
+            np.copyto(states, np.take(of_counts, reaching.counts), where=shines)
         return self._states, found
 
 

@@ -44,6 +44,10 @@ struct PointMask1 {
         bool free;
         Spares tries;
     } neighbours;
+    // The triangle that hid all points from the sample before, less the number of that sample, and whether it was the
+    // same of the one before: mostly samples of a list are on triangles that follow each other, too.
+    int ahead;
+    bool follows;
 #endif
     // To the middle of the light; magnitudes of the way to any point, times the pad; the least and the most length.
     wp::vec3d middle;
@@ -59,6 +63,7 @@ struct PointMask1 {
 #if !defined(__CUDA_ARCH__)
         keeps = 0, spares.balance = 0;
         neighbours.end = 0, neighbours.free = false, neighbours.tries.balance = 0;
+        ahead = 0, follows = false;
 #endif
     }
     // One in `every`, of an image no columns: numbers are scattered first (the finalizer of MurmurHash3), and the least
@@ -151,6 +156,35 @@ struct PointMask1 {
         open &= ~hidden;
         if (hidden)
             hider = triangle;
+    }
+    // The same of one point and some triangles, as bits; none of them hides it for sure.
+    inline void judged_at(int k, const int* triangles, int maybe) {
+        while (maybe && !hides(k, triangles[__builtin_ctz(maybe)]))
+            maybe &= maybe - 1;
+        open &= ~((wp::uint64)(maybe != 0) << k);
+    }
+    // A triangle hides all of them, whatever its side.
+    inline void hidden_by(int triangle) {
+        open = 0;
+        hider = triangle;
+        follows = asked.width <= 0 && ahead == triangle - ray[0];
+        ahead = triangle - ray[0];
+    }
+    // Whether the triangle that follows the one that hid all points from the sample before hides them all.
+    inline bool hidden_by_next() {
+        const int triangle = ray[0] + ahead;
+        if (!follows || triangle < 0 || triangle >= asked.triangle_count)
+            return false;
+        ++tests;
+        const wp::vec3i& corner = asked.triangles.data[triangle];
+        const wp::vec3d &a = asked.vertices.data[corner[0]], &b = asked.vertices.data[corner[1]],
+                        &c = asked.vertices.data[corner[2]];
+        const wp::vec4d& at = asked.positions.data[ray[0]];
+        follows = wp::isfinite(a) && wp::isfinite(b) && wp::isfinite(c)
+                  && together(Sides(wp::vec3d(at[0], at[1], at[2]), a, b, c), at[3], asked.middle[3]) == ALL;
+        if (follows)
+            hidden_by(triangle);
+        return follows;
     }
     inline bool hides(int k, int triangle) {
         const wp::vec3i& corner = asked.triangles.data[triangle];

@@ -40,7 +40,13 @@ _MUTANTS: dict[str, tuple[str, str, list[Change]]] = {
     "all edges as those of the middle": (
         _OWN,
         "any_order or edges_within",
-        [(_FILTER, "value = x * m[0]", "beside = 0.0f;\n            return;\n            value = x * m[0]")],
+        [
+            (
+                _FILTER,
+                "const float* e = filter.extent;",
+                "return Real16(0.0f);\n            const float* e = filter.extent;",
+            )
+        ],
     ),
     "lengths to the middle of the box": (
         _OWN,

@@ -8,8 +8,9 @@ struct Walk1 {
     // Of each level at most all children but one wait.
     // Children of a node that a bundle must meet for their ranges to be asked for.
     enum { DEPTH = TREE_LANES * (LEVELS + 1), MANY = 3 };
-    // As many triangles of a block must be left for their ranges to be worth it.
-    enum { SEVERAL = 2 };
+    // As many triangles of a block must be left for their ranges to be worth it. Up to so many points are judged one
+    // by one, each with all triangles of a block.
+    enum { SEVERAL = 2, FEW = 16 };
     MaskFilter filter;
     MaskRange range;
     const Tree& tree;
@@ -32,47 +33,92 @@ struct Walk1 {
                                    : range.look(query.middle, asked.u, asked.v, filter.reach, filter.unit));
     }
     // Shows a triangle; true if no point is seen any more.
-    inline bool triangle(int number, int lane, Query1& query) const {
-        const wp::uint64 wanted = query.open & (ranges ? range.points(lane, query.asked.beyond.data) : query.open);
+    inline bool triangle(int number, int lane, wp::uint64 wanted, Query1& query) const {
+        wanted &= query.open & (ranges ? range.points(lane, query.asked.beyond.data) : query.open);
         if (!wanted)
             return false;
         if (!(filter.told >> lane & 1))
             return query.visit(number);
         ++query.tests;
+        const bool all = filter.all >> lane & 1;
+        if (all && query.asked.cull == 0) {
+            query.hidden_by(number);
+            return true;
+        }
         wp::uint64 sure = ~(wp::uint64)0, maybe = sure;
-        if (!(filter.all >> lane & 1))
+        if (!all)
             filter.points(lane, query.asked.offsets.data, wanted, sure, maybe);
         query.judged(number, sure, maybe & wanted);
         return query.open == 0;
     }
-    // Shows a block; true if no point is seen any more.
-    inline bool block(int number, Query1& query) {
+    // Shows the triangles of a block that are told, point by point.
+    inline void each_point(const int* members, wp::uint64 wanted, Query1& query) const {
+        const float* offsets = query.asked.offsets.data;
+        const int certain = query.asked.cull == 0 ? (int)Lanes16::ALL : 0;
+        wp::uint64 hidden = 0, doubtful = 0;
+        int touching = 0, everyone = certain & filter.told, sure, maybe;
+        for (wp::uint64 left = wanted; left; left &= left - 1) {
+            filter.of_point(offsets + __builtin_ctzll(left), sure, maybe);
+            touching |= maybe;
+            everyone &= sure;
+            hidden |= sure & certain ? left & -left : 0;
+            doubtful |= maybe ? left & -left : 0;
+        }
+        query.tests += __builtin_popcount(touching);
+        query.open &= ~hidden;
+        if (everyone && query.open == 0)
+            query.hidden_by(members[__builtin_ctz(everyone)]);
+        for (wp::uint64 left = doubtful & ~hidden; left; left &= left - 1) {
+            filter.of_point(offsets + __builtin_ctzll(left), sure, maybe);
+            query.judged_at(__builtin_ctzll(left), members, maybe);
+        }
+    }
+    // Shows a block of which few points are wanted; true if no point is seen any more.
+    inline bool few_points(const int* members, wp::uint64 wanted, Query1& query) {
+        const Mask16 each = *(const Mask16*)members;
+        filter.may &= Lanes16::bits((each >= 0) & (each < query.triangle_count()));
+        filter.told &= filter.may;
+        if (filter.told)
+            each_point(members, wanted, query);
+        for (int left = query.open ? filter.may & ~filter.told : 0; left; left &= left - 1)
+            if (query.visit(members[__builtin_ctz(left)]))
+                return true;
+        return query.open == 0;
+    }
+    // Shows a block, which no other points than those that are wanted are asked about; true if none is seen any more.
+    inline bool block(int number, wp::uint64 wanted, Query1& query) {
         const int casting = tree.left_out ? tree.casting_blocks.data[number] : (int)Lanes16::ALL;
         if (!casting)
             return false;
         const int* members = tree.members.data + TREE_LANES * (size_t)number;
         __builtin_prefetch(members);
         const float* rows = tree.rows.data + BLOCK_ROWS * TREE_LANES * (size_t)number;
+        const bool few = __builtin_popcountll(wanted) <= FEW;
         if (looks)
-            filter.judge(rows);
+            filter.judge(rows, few);
         else
             filter.may = Lanes16::ALL, filter.all = filter.told = 0;
         filter.may &= casting;
+        if (!filter.may)
+            return false;
+        if (few)
+            return few_points(members, wanted, query);
         range.known = range.missed = 0;
         if (ranges && __builtin_popcount(filter.may & ~filter.all) >= SEVERAL)
             range.judge(rows, filter.at, filter.place);
         for (int left = filter.may & ~range.missed; left; left &= left - 1) {
             const int lane = __builtin_ctz(left);
-            if (members[lane] >= 0 && members[lane] < query.triangle_count() && triangle(members[lane], lane, query))
+            if (members[lane] >= 0 && members[lane] < query.triangle_count()
+                && triangle(members[lane], lane, wanted, query))
                 return true;
         }
         return false;
     }
     // Shows a block, and keeps it for the next sample if it hides points from this one; true if none is seen any more.
-    inline bool ask(int number, Query1& query) {
+    inline bool ask(int number, wp::uint64 wanted, Query1& query) {
         const wp::uint64 before = query.open;
         ++query.nodes;
-        const bool done = block(number, query);
+        const bool done = block(number, wanted, query);
         if (query.open != before && query.keeps < Query1::KEPT)
             query.kept[query.keeps++] = number;
         return done;
@@ -85,7 +131,7 @@ struct Walk1 {
         for (int k = 0; k < first; ++k)
             asked[k] = query.kept[k];
         for (int k = 0; k < first; ++k)
-            if (ask(asked[k], query))
+            if (ask(asked[k], query.open, query))
                 return;
         int links[DEPTH];
         wp::uint64 points[DEPTH]; // of the light that something below a link may hide
@@ -100,7 +146,7 @@ struct Walk1 {
                 bool again = false;
                 for (int k = 0; k < first; ++k)
                     again |= asked[k] == ~link;
-                if (!again && ask(~link, query))
+                if (!again && ask(~link, points[top] & query.open, query))
                     return;
                 continue;
             }
@@ -149,7 +195,7 @@ struct Walk1 {
         return some.free;
     }
     static inline void walk(const Tree& tree, Query1& query) {
-        if (free(tree, query))
+        if (query.hidden_by_next() || free(tree, query))
             return;
         Segment segment;
         const int place = segment.place(query, tree.box);
