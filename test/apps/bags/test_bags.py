@@ -283,20 +283,39 @@ def test_a_run_that_is_killed_goes_on(tmp_path: Path) -> None:
     assert bytes_of(out / "in").items() >= there.items()
 
 
+_UNTIL_INTERRUPTED = """
+import sys, time
+from shadow_tracer.apps import cli
+from shadow_tracer.apps.bags.run import Bar
+
+def wait(bar, frames):
+    print("a part is there", flush=True)
+    time.sleep(120)
+
+Bar.advance = wait
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
 @pytest.mark.slow
 def test_an_interrupted_run_ends_at_once_with_130_and_goes_on(tmp_path: Path) -> None:
-    bag, out = small(60).write(tmp_path / "in"), tmp_path / "out"
-    command = [sys.executable, "-m", "shadow_tracer.apps.cli", "bags", str(bag), str(out), *OPTIONS]
-    command += ["--frames", "1", "--jobs", "2"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True, text=True)
-    end = time.monotonic() + 120
-    while not [*out.glob("in/*.mcap")] and time.monotonic() < end:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    assert "interrupted; the same command goes on" in process.communicate(timeout=60)[1]
+    bag, out = small(6).write(tmp_path / "in"), tmp_path / "out"
+    asked = ["bags", str(bag), str(out), *OPTIONS, "--frames", "1", "--jobs", "2"]
+    with subprocess.Popen(
+        [sys.executable, "-c", _UNTIL_INTERRUPTED, *asked],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "a part is there\n"
+        process.send_signal(signal.SIGINT)
+        assert "interrupted; the same command goes on" in process.communicate(timeout=60)[1]
     assert process.returncode == 130
+    assert 1 <= len([*out.glob("in/*.mcap")]) <= 2, "of each worker one"
     assert not (out / "in" / "metadata.yaml").exists()
-    assert subprocess.run(command, capture_output=True).returncode == 0
+    again = subprocess.run([sys.executable, "-m", "shadow_tracer.apps.cli", *asked], capture_output=True)
+    assert again.returncode == 0
     assert log_of(out / "in") == log_of(uncut(bag, tmp_path / "whole.mcap", PARAMETERS))
     assert not [*out.glob("in/.*")]
 
