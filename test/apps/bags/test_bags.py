@@ -307,6 +307,8 @@ def test_an_interrupted_run_ends_at_once_with_130_and_goes_on(tmp_path: Path) ->
         stderr=subprocess.PIPE,
         start_new_session=True,
         text=True,
+        # A shell without job control starts what runs in the background with SIGINT ignored, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         assert process.stdout is not None and process.stdout.readline() == "a part is there\n"
         process.send_signal(signal.SIGINT)
